@@ -1,0 +1,45 @@
+//! What can go wrong, with numbers in the variants.
+
+use std::fmt;
+
+/// A failure of the crate. Hard but valid data (rank loss) are never failures: results report them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// The caller asked to stop.
+    Interrupted,
+    /// Two lengths that must agree do not.
+    Length {
+        /// What the other arguments imply.
+        expected: usize,
+        /// What came.
+        given: usize,
+    },
+    /// An index points outside what it indexes.
+    Index {
+        /// The offending index.
+        index: usize,
+        /// Indices must be below this.
+        bound: usize,
+    },
+    /// Points of a dimension that the search trees are not built for.
+    Dimension {
+        /// Coordinates per point.
+        given: usize,
+    },
+    /// A singular value decomposition did not converge.
+    NoConvergence,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Interrupted => write!(f, "interrupted"),
+            Self::Length { expected, given } => write!(f, "length {given} where {expected} was expected"),
+            Self::Index { index, bound } => write!(f, "index {index} is not below {bound}"),
+            Self::Dimension { given } => write!(f, "points have {given} coordinates"),
+            Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
+        }
+    }
+}
+
+impl std::error::Error for Error {}

@@ -1,0 +1,4 @@
+//! mexpress
+pub mod error;
+pub mod pool;
+pub mod scheme;

@@ -1,0 +1,107 @@
+//! Threads: independent tasks, one workspace a thread, cancellable, safe after `fork`.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::Error;
+
+/// Who does the work, and the flag that calls it off.
+///
+/// Tasks must write to disjoint places and may not depend on each other, so that results are the same bit
+/// for bit for any number of threads.
+#[derive(Clone, Copy)]
+pub struct Pool<'a> {
+    threads: usize,
+    cancel: &'a AtomicBool,
+}
+
+impl<'a> Pool<'a> {
+    /// At most `threads` threads; setting `cancel` ends the work after the tasks under way.
+    pub fn new(threads: usize, cancel: &'a AtomicBool) -> Self {
+        Self { threads: threads.max(1), cancel }
+    }
+
+    /// How many threads there are at most.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Does every task, in any order, each thread with a workspace of its own.
+    pub fn run<T: Send, W>(
+        &self,
+        tasks: impl ExactSizeIterator<Item = T> + Send,
+        workspace: impl Fn() -> W + Sync,
+        work: impl Fn(&mut W, T) + Sync,
+    ) -> Result<(), Error> {
+        let threads = self.threads.min(tasks.len());
+        let queue = Mutex::new(tasks);
+        let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
+        let worker = || {
+            let mut scratch = workspace();
+            while !self.cancelled() {
+                match next() {
+                    Some(task) => work(&mut scratch, task),
+                    None => break,
+                }
+            }
+        };
+        if threads > 1 {
+            threads_of_this_process(threads).scope(|scope| {
+                for _ in 0..threads {
+                    scope.spawn(|_| worker());
+                }
+            });
+        } else if threads == 1 {
+            worker();
+        }
+        if self.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+}
+
+/// A forked child inherits this map but not the threads behind it, hence the process id in the key. Its
+/// parent's pools are kept, not dropped: dropping one would wait for threads that do not exist.
+fn threads_of_this_process(threads: usize) -> Arc<ThreadPool> {
+    static POOLS: Mutex<Option<HashMap<(u32, usize), Arc<ThreadPool>>>> = Mutex::new(None);
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    let pool = pools.get_or_insert_default().entry((std::process::id(), threads)).or_insert_with(|| {
+        let builder = ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("mexpress-{i}"));
+        Arc::new(builder.build().expect("the operating system refused a thread"))
+    });
+    Arc::clone(pool)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_task_is_done_once() {
+        let flag = AtomicBool::new(false);
+        for threads in [1, 2, 5] {
+            let mut done = vec![0; 100];
+            Pool::new(threads, &flag).run(done.iter_mut(), || (), |(), d| *d += 1).unwrap();
+            assert_eq!(done, vec![1; 100]);
+        }
+    }
+
+    #[test]
+    fn a_set_flag_stops_the_work() {
+        let flag = AtomicBool::new(false);
+        let count = std::sync::atomic::AtomicUsize::new(0);
+        let result = Pool::new(2, &flag).run(0..1000, || (), |(), i| {
+            count.fetch_add(1, Ordering::Relaxed);
+            if i == 10 {
+                flag.store(true, Ordering::Relaxed);
+            }
+        });
+        assert_eq!(result, Err(Error::Interrupted));
+        assert!(count.into_inner() < 1000);
+    }
+}
