@@ -1,0 +1,41 @@
+from typing import Any, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Floats: TypeAlias = NDArray[np.float64]
+_Integers: TypeAlias = NDArray[np.int64]
+_Sets: TypeAlias = tuple[_Integers, _Integers]
+
+__all__: list[str]
+
+@final
+class Factor:
+    def __new__(
+        cls,
+        design: _Floats,
+        responses: _Floats,
+        root_weights: _Floats | None,
+        penalty: _Floats,
+        threads: int,
+    ) -> Factor: ...
+    @property
+    def rank(self) -> int: ...
+    @property
+    def coefficients(self) -> _Floats: ...
+    @property
+    def residuals(self) -> _Floats: ...
+    @property
+    def leverage(self) -> _Floats: ...
+    def predict(
+        self, held: _Sets, validated: _Sets, rows: _Sets, threads: int
+    ) -> tuple[_Floats, _Integers, _Integers, _Integers]: ...
+    def hat_blocks(self, rows: _Sets, threads: int) -> _Floats: ...
+
+def find_not_finite(values: _Floats) -> tuple[int, int] | None: ...
+def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ...
+def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...
+def neighbours_delaunay(points: _Floats) -> _Sets: ...
+def lloyd(
+    samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int
+) -> _Floats: ...

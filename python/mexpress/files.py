@@ -1,0 +1,137 @@
+"""Models in files: one .npz archive of plain arrays, safe to read from strangers."""
+
+import os
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["KINDS", "Storable", "load", "save", "storable"]
+
+FORMAT = "mexpress model"
+VERSION = 1
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class Storable(Protocol):
+    """A model that arrays describe wholly."""
+
+    kind: ClassVar[str]
+
+    def to_arrays(self) -> Arrays:
+        """Return what `from_arrays` needs, by name; no object arrays."""
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> Self:
+        """Rebuild the model; KeyError, TypeError or ValueError if the arrays do not describe one."""
+
+
+KINDS: dict[str, type[Storable]] = {}
+"""Every class of models that files can hold, by its kind."""
+
+Model = TypeVar("Model", bound=Storable)
+
+
+def storable(model_class: type[Model]) -> type[Model]:
+    """Enter a class of models in `KINDS`; used as its decorator."""
+    KINDS[model_class.kind] = model_class
+    return model_class
+
+
+def save(model: Storable, path: str | os.PathLike[str]) -> None:
+    """Write a model to a file.
+
+    Parameters
+    ----------
+    model : Storable
+        A warp, or another model whose class is in `KINDS`.
+    path : str or path
+        Name of the file, taken as it is. A file of this name is replaced once the new one is complete.
+
+    Raises
+    ------
+    TypeError
+        If the model is none that files can hold.
+    OSError
+        If the file cannot be written; an older file of this name is then untouched.
+
+    Examples
+    --------
+    See `load`.
+    """
+    if KINDS.get(getattr(model, "kind", "")) is not type(model):
+        raise TypeError(f"Invalid model. It must be one of {_class_names()}. Given {type(model).__name__}.")
+    path = Path(path)
+    header = {"format": np.array(FORMAT), "version": np.array(VERSION), "kind": np.array(model.kind)}
+    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
+    try:
+        with part.open("xb") as file:  # by name, np.savez would append .npz to it
+            np.savez(file, allow_pickle=False, **header, **model.to_arrays())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Read a model from a file that `save` wrote.
+
+    Parameters
+    ----------
+    path : str or path
+        Name of the file. Nothing in it is executed.
+
+    Returns
+    -------
+    Warp or another model
+        Equal to the saved one, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If the file is no model of mexpress, is damaged, or comes from a newer version.
+    OSError
+        If it cannot be opened: FileNotFoundError when there is none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mexpress.warps import fit_warp
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp = fit_warp(square, [[5, 5], [90, 0], [0, 110], [95, 99]], square[:3])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     warp.save(f"{folder}/warp.npz")
+    ...     load(f"{folder}/warp.npz")
+    Warp(fractional tps, 3 control points)
+    """
+    arrays = _read(Path(path))
+    try:
+        name, version, kind = str(arrays["format"]), int(arrays["version"]), str(arrays["kind"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise _invalid(path, "an archive without a model") from error
+    if name != FORMAT or version > VERSION or kind not in KINDS:
+        raise _invalid(path, f"{name!r} {version} of kind {kind!r} (this version reads {FORMAT!r} {VERSION})")
+    try:
+        return KINDS[kind].from_arrays(arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise _invalid(path, f"a damaged model: {error}") from error
+
+
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files}
+        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
+            raise _invalid(path, f"a file that is no archive of arrays: {error}") from error
+
+
+def _invalid(path: str | os.PathLike[str], what: str) -> ValueError:
+    return ValueError(f"Invalid path. It must name a saved model. Given {os.fspath(path)!r}, {what}.")
+
+
+def _class_names() -> str:
+    return ", ".join(sorted(model.__name__ for model in KINDS.values()))

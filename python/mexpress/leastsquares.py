@@ -1,0 +1,398 @@
+"""Linear least squares, factorised once and cross-validated in closed form."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _core
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.schemes import IndexSets, Scheme, join
+
+__all__ = ["CrossValidation", "LeastSquares", "RankLossWarning"]
+
+
+class RankLossWarning(UserWarning):
+    """Some held-out sets leave training rows that no longer determine the model."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CrossValidation:
+    """Prediction residuals of a scheme, and their score.
+
+    Parameters
+    ----------
+    score : float
+        P, in the responses' unit: ``P^2 = sum w ||e||^2 / sum w`` over the validated data; NaN if a pair is undefined.
+    residuals : (k,) or (k, r) array
+        Prediction residuals of the validated rows, pair after pair, in the responses' unit; NaN where undefined.
+    rows : (k,) int64 array
+        The rows of the design that the residuals belong to.
+    pairs : (k,) int64 array
+        The pairs of the scheme that they belong to.
+    undefined : int64 array
+        The pairs whose training rows lost rank; empty as a rule.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
+    >>> model.cross_validate(mx.schemes.leave_one_out(3))
+    CrossValidation(score=3.968627, 3 residuals, 0 undefined pairs)
+    """
+
+    score: float
+    residuals: Floats
+    rows: Integers
+    pairs: Integers
+    undefined: Integers
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.rows)} residuals, {len(self.undefined)} undefined pairs"
+        return f"CrossValidation(score={self.score:.7g}, {counts})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class LeastSquares:
+    """A linear least-squares fit: ``min sum_i w_i ||b_i - A_i x||^2 + ||Z x||^2``.
+
+    The design is factorised once; every prediction residual then follows in closed form,
+    ``e_(K) = (I - H_KK)^-1 e_K`` (equation 6), without refitting.
+
+    Parameters
+    ----------
+    A : (m, p) array
+        Design matrix.
+    b : (m,) or (m, r) array
+        Responses; r of them share the design (equation 4).
+    coupling : int or (m,) int array, default 1
+        How rows make up data: the number of consecutive rows of each datum, or the datum of every row,
+        labelled 0 to n - 1. Rows of a datum are held out together.
+    weights : (n,) array, optional
+        Positive weight of each datum, in the fit and in the scores.
+    penalty : (k, p) array, optional
+        Z: rows that are never held out, to be made small (`A` and `Z` both count for the rank).
+    threads : int, optional
+        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+
+    Attributes
+    ----------
+    coefficients : (p,) or (p, r) array
+        x. If rank is lost, the solution of least norm when columns have unit length.
+    residuals : (m,) or (m, r) array
+        b - A x.
+    leverage : (m,) array
+        Diagonal of the hat matrix, from 0 to 1; its sum is the effective number of parameters.
+    rank : int
+        Rank of ``[A; Z]``, columns at unit length, by the rule of `numpy.linalg.matrix_rank`.
+    n_data : int
+        Number of data, n.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit, or an entry is not a finite number.
+
+    Examples
+    --------
+    A straight line through five points, the last of them off:
+
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> x, y = np.arange(5.0), np.array([0.0, 1.1, 1.9, 3.0, 8.0])
+    >>> model = mx.LeastSquares(np.column_stack([np.ones(5), x]), y)
+    >>> model
+    LeastSquares(5 data, 5 rows, 2 columns, rank 2, fit_rms=1.169615)
+    >>> float(model.held_out_residuals([4])[0].round(6))
+    4.05
+    """
+
+    coefficients: Floats
+    residuals: Floats
+    leverage: Floats
+    rank: int
+    n_data: int
+    _factor: _core.Factor = field(repr=False)
+    _coupling: IndexSets = field(repr=False)
+    _row_weights: Floats | None = field(repr=False)
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        b: ArrayLike,
+        coupling: int | ArrayLike = 1,
+        weights: ArrayLike | None = None,
+        penalty: ArrayLike | None = None,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        design = check.matrix(A, "A")
+        m, p = design.shape
+        responses = check.columns(b, "b", m)
+        rows = _couple(coupling, m)
+        row_weights = _weigh(weights, rows, m)
+        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p)
+        wide = responses.reshape(m, -1)
+        roots = None if row_weights is None else np.sqrt(row_weights)
+        factor = _core.Factor(design, wide, roots, extra, check.threads(threads))
+        flat = responses.ndim == 1
+        residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
+        self._set(
+            coefficients=coefficients[:, 0] if flat else coefficients,
+            residuals=residuals[:, 0] if flat else residuals,
+            leverage=factor.leverage,
+            rank=factor.rank,
+            n_data=len(rows),
+            _factor=factor,
+            _coupling=rows,
+            _row_weights=row_weights,
+        )
+
+    def _set(self, **fields: Any) -> None:
+        for name, value in fields.items():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        m, p = len(self.residuals), len(self.coefficients)
+        size = f"{self.n_data} data, {m} rows, {p} columns, rank {self.rank}"
+        return f"LeastSquares({size}, fit_rms={self.fit_rms:.7g})"
+
+    @property
+    def fit_rms(self) -> float:
+        """E, the root mean square residual over the data: ``E^2 = sum w ||e||^2 / sum w``, equation (11)."""
+        total = None if self._row_weights is None else self._data_weights().sum()
+        return _root_mean(self.residuals, self._row_weights, self.n_data if total is None else total)
+
+    @property
+    def press(self) -> float:
+        """P, every row held out on its own: ``P^2 = (1/m) sum_j (e_j / (1 - h_jj))^2``, equation (3).
+
+        NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
+        """
+        value, lost = self._press()
+        _warn(lost, len(self.leverage), "row")
+        return value
+
+    def _press(self) -> tuple[float, Integers]:
+        m = len(self.leverage)
+        alone = IndexSets.single(m)
+        found = self._predict(Scheme(m, alone, alone), alone, None)
+        weights = self._row_weights
+        total = float(m) if weights is None else float(weights.sum())
+        return _root_mean(found.residuals, weights, total), found.undefined
+
+    def held_out_residuals(self, rows: ArrayLike) -> Floats:
+        """Residuals of rows predicted from all other rows: ``e_(K) = (I - H_KK)^-1 e_K``, equation (6).
+
+        Parameters
+        ----------
+        rows : (k,) int array
+            Distinct rows of the design.
+
+        Returns
+        -------
+        (k,) or (k, r) array
+            In the order of `rows`. NaN, with a `RankLossWarning`, if the other rows no longer determine the model.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0]).held_out_residuals([2, 1])
+        array([5., 1.])
+        """
+        m = len(self.leverage)
+        order = check.indices(rows, "rows", m)
+        sets = IndexSets.of([order])
+        found = self._predict(Scheme(m, sets, sets), IndexSets.single(m), None)
+        _warn(found.undefined, 1, "set")
+        return found.residuals[np.argsort(np.argsort(order))]
+
+    def hat_blocks(self, sets: IndexSets | None = None, *, threads: int | None = None) -> list[Floats]:
+        """Diagonal blocks ``H_KK`` of the hat matrix, without the matrix.
+
+        Parameters
+        ----------
+        sets : IndexSets, optional
+            Sets of rows; the rows of each datum if not given.
+        threads : int, optional
+            At most so many threads.
+
+        Returns
+        -------
+        list of (q, q) arrays
+            One a set, of the weighted design if there are weights.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> model = mx.LeastSquares([[1.0], [1.0], [1.0], [1.0]], [1.0, 2.0, 6.0, 0.0], coupling=2)
+        >>> model.hat_blocks()[0]
+        array([[0.25, 0.25],
+               [0.25, 0.25]])
+        """
+        kept = self._coupling if sets is None else sets
+        if not isinstance(kept, IndexSets):
+            check.refuse("sets", "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
+        check.indices(np.unique(kept.indices), "sets", len(self.leverage))
+        flat = self._factor.hat_blocks((kept.offsets, kept.indices), check.threads(threads))
+        parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1])
+        return [part.reshape(q, q) for part, q in zip(parts, kept.sizes, strict=True)]
+
+    def cross_validate(self, scheme: Scheme, threads: int | None = None) -> CrossValidation:
+        """Predict the validated data of every pair of a scheme, its held-out data left out of the fit.
+
+        Parameters
+        ----------
+        scheme : Scheme
+            From `mexpress.schemes`; over this model's data.
+        threads : int, optional
+            At most so many threads. The result does not depend on it.
+
+        Returns
+        -------
+        CrossValidation
+            With NaN for a score, and a `RankLossWarning`, if a pair's training rows lose rank.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> x = np.linspace(0, 1, 50)
+        >>> model = mx.LeastSquares(np.vander(x, 4), np.sin(6 * x))
+        >>> near = mx.schemes.exclusion_radius(x[:, None], 0.1)
+        >>> model.cross_validate(near).score > model.fit_rms
+        True
+        """
+        if not isinstance(scheme, Scheme):
+            rule = "It must come from mexpress.schemes."
+            check.refuse("scheme", rule, check.describe(scheme), TypeError)
+        found = self._cross_validate({"": scheme}, threads)[""]
+        _warn(found.undefined, len(scheme), "pair")
+        return found
+
+    def _cross_validate(
+        self, schemes: Mapping[str, Scheme], threads: int | None
+    ) -> dict[str, CrossValidation]:
+        """Every scheme in one call, so that the core sees all the work and shares what it can."""
+        if not schemes:
+            return {}
+        for scheme in schemes.values():
+            if scheme.n_data != self.n_data:
+                rule = f"It must be over the model's {self.n_data} data."
+                check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
+        together = self._predict(join(list(schemes.values())), self._coupling, threads)
+        ends = np.cumsum([len(scheme) for scheme in schemes.values()])
+        starts = ends - [len(scheme) for scheme in schemes.values()]
+        return {
+            name: self._part(together, first, last)
+            for name, first, last in zip(schemes, starts, ends, strict=True)
+        }
+
+    def _part(self, whole: CrossValidation, first: int, last: int) -> CrossValidation:
+        """The pairs first..last - 1 alone, scored."""
+        a, b = np.searchsorted(whole.pairs, [first, last])
+        lost = whole.undefined[(whole.undefined >= first) & (whole.undefined < last)] - first
+        residuals, rows = whole.residuals[a:b], whole.rows[a:b]
+        weights = None if self._row_weights is None else self._row_weights[rows]
+        # A datum's rows share its weight, which counts once.
+        total = float((1.0 / self._rows_of_datum[rows] * (1.0 if weights is None else weights)).sum())
+        score = _root_mean(residuals, weights, total)
+        return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
+
+    def _predict(self, scheme: Scheme, coupling: IndexSets, threads: int | None) -> CrossValidation:
+        """Residuals of all pairs, not yet scored."""
+        held, validated = scheme.held_out, scheme.validated
+        residuals, rows, offsets, lost = self._factor.predict(
+            (held.offsets, held.indices),
+            (validated.offsets, validated.indices),
+            (coupling.offsets, coupling.indices),
+            check.threads(threads),
+        )
+        pairs = np.repeat(np.arange(len(scheme)), np.diff(offsets))
+        flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
+        return CrossValidation(np.nan, flat, rows, pairs, lost)
+
+    @property
+    def _rows_of_datum(self) -> Floats:
+        """For every row, how many rows its datum has."""
+        sizes = self._coupling.sizes.astype(np.float64)
+        counts = np.empty(len(self.leverage))
+        counts[self._coupling.indices] = np.repeat(sizes, self._coupling.sizes)
+        return counts
+
+    def _data_weights(self) -> Floats:
+        first = self._coupling.indices[self._coupling.offsets[:-1]]
+        return np.ones(self.n_data) if self._row_weights is None else self._row_weights[first]
+
+
+def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:
+    """sqrt(sum w ||e||^2 / total), free of overflow."""
+    if residuals.size == 0:
+        return float("nan")
+    squares = residuals.reshape(len(residuals), -1)
+    largest = float(np.abs(squares).max())
+    if largest == 0.0 or np.isnan(largest):
+        return largest
+    squares = ((squares / largest) ** 2).sum(axis=1)
+    return largest * float(np.sqrt((squares if weights is None else weights * squares).sum() / total))
+
+
+def _couple(coupling: Any, m: int) -> IndexSets:
+    """Rows of every datum."""
+    if np.ndim(coupling) == 0:
+        g = check.count(coupling, "coupling", 1)
+        if m % g:
+            check.refuse("coupling", f"It must divide the {m} rows of A.", str(g))
+        return IndexSets(np.arange(0, m + 1, g), np.arange(m))
+    labels = np.asarray(coupling)
+    rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
+    if labels.dtype.kind not in "iu":
+        check.refuse("coupling", rule, check.describe(coupling), TypeError)
+    if labels.shape != (m,) or labels.min() < 0 or labels.max() >= m:
+        check.refuse("coupling", rule, check.describe(coupling))
+    sizes = np.bincount(labels)
+    if (sizes == 0).any():
+        check.refuse("coupling", "Every datum must have a row.", f"none for datum {np.argmin(sizes)}")
+    order = np.argsort(labels, kind="stable").astype(np.int64)
+    return IndexSets(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), order)
+
+
+def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> Floats | None:
+    """Weight of every row, from one for each datum."""
+    if weights is None:
+        return None
+    given = check.real(weights, "weights")
+    n = len(rows)
+    rule = f"It must be {n} positive numbers, one for each datum."
+    if given.shape != (n,):
+        check.refuse("weights", rule, f"shape {given.shape}")
+    if check.finite(given, "weights").min() <= 0:
+        rule += " Leave out data that shall not count."
+        check.refuse("weights", rule, f"{given.min()} for datum {int(given.argmin())}")
+    row_weights = np.empty(m)
+    row_weights[rows.indices] = np.repeat(given, rows.sizes)
+    return row_weights
+
+
+def _penalise(penalty: ArrayLike, p: int) -> Floats:
+    extra = check.real(penalty, "penalty")
+    if extra.ndim != 2 or extra.shape[1] != p:
+        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {extra.shape}")
+    return check.finite(extra, "penalty")
+
+
+def _warn(lost: Integers, total: int, what: str) -> None:
+    if len(lost):
+        text = (
+            f"{len(lost)} of {total} {what}s lose rank when held out, so there is no score: the attribute "
+            f"'undefined' of the result lists them, the first is {lost[0]}."
+        )
+        warnings.warn(RankLossWarning(text), stacklevel=3)

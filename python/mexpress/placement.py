@@ -1,0 +1,228 @@
+"""Where control points go: Lloyd's algorithm over the region that the data cover."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _core
+from mexpress import _validation as check
+from mexpress._validation import Floats
+
+__all__ = ["covered_region", "lattice", "lloyd", "thinness"]
+
+NEAR_LINE = 1e-6
+"""Points are on a line when their spread across it is below this fraction of the spread along it."""
+
+_MAX_STEPS = 100
+_TOLERANCE = 1e-4
+
+
+def thinness(points: Floats) -> float:
+    """Return the spread of points across their main direction over the spread along it.
+
+    Parameters
+    ----------
+    points : array, (n, 2)
+        Positions, in any unit: the ratio does not change with a similarity.
+
+    Returns
+    -------
+    float
+        Ratio of the two singular values of the centred points: 1 for a square, 0 on a line and for fewer
+        than three distinct points.
+
+    Examples
+    --------
+    >>> thinness(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 1.0], [10.0, 1.0]])).__round__(6)
+    0.1
+    """
+    centred = points - points.mean(axis=0)
+    size = np.abs(centred).max()
+    if len(points) < 3 or size == 0:
+        return 0.0
+    along, across = np.linalg.svd(centred / size, compute_uv=False)
+    return float(across / along)
+
+
+def covered_region(points: ArrayLike, name: str = "points") -> Floats:
+    """Return the convex hull of points: the region that they cover.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Positions, x then y.
+    name : str
+        What an error message calls them.
+
+    Returns
+    -------
+    ndarray, (k, 2)
+        Corners, counter-clockwise from the leftmost one (the lowest of them); none is on a straight edge.
+
+    Raises
+    ------
+    ValueError
+        If the points are fewer than three distinct ones or lie on a line: their spread across it is below
+        1e-6 of that along it.
+
+    Examples
+    --------
+    >>> covered_region([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1], [2, 0]])
+    array([[0., 0.], [4., 0.], [4., 3.], [0., 3.]])
+    """
+    points = check.points(points, name)
+    corners = _convex_hull(points)
+    if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
+        rule = "They must cover a region: three distinct points or more, not on a line."
+        check.refuse(name, rule, f"{len(points)} points on a line or in one place")
+    return corners
+
+
+def lattice(corners: Floats, number: int) -> Floats:
+    """Return about `number` points spread evenly inside a convex region.
+
+    The regular grid is laid in coordinates where the region has unit covariance, so a thin or slanted region
+    has as many points across as along it.
+
+    Parameters
+    ----------
+    corners : ndarray, (k, 2)
+        Corners as `covered_region` gives them.
+    number : int
+        How many points are wanted; the grid's fit to the edges changes it by a few percent.
+
+    Returns
+    -------
+    ndarray, (s, 2)
+        Positions in the unit of the corners.
+
+    Examples
+    --------
+    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    >>> lattice(square, 4)
+    array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+    """
+    centroid, shape, area = _moments(corners)
+    # A lower triangular map keeps vertical lines vertical, hence the order of the corners in x.
+    white = _whitened(corners, centroid, shape)
+    step = np.sqrt(area / np.linalg.det(shape) / number)
+    x, y = (_cell_centres(coordinates, step) for coordinates in white.T)
+    last = np.lexsort((corners[:, 1], corners[:, 0]))[-1]
+    below, above = white[: last + 1], np.vstack([white[last:], white[:1]])[::-1]
+    lower, upper = (np.interp(x, *chain.T) for chain in (below, above))
+    # The slack keeps a point that rounding puts beside an edge, whatever the region's position.
+    inside = (y[:, None] >= lower - 1e-9) & (y[:, None] <= upper + 1e-9)
+    row, column = np.nonzero(inside)
+    return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
+
+
+def lloyd(
+    points: ArrayLike, count: int, seed: int | np.random.Generator | None = 0, threads: int | None = None
+) -> Floats:
+    """Spread control points over the region that the data cover, by Lloyd's algorithm.
+
+    The region, the convex hull of the points, is sampled evenly; every centre moves to the mean of the
+    samples nearest to it, until none moves. Where the data are dense does not matter, only where they end.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Data positions, x then y, in any unit.
+    count : int
+        Number of control points, 3 or more.
+    seed : int, Generator or None
+        Of the starting centres: the same number gives the same control points, None fresh ones.
+    threads : int, optional
+        Upper bound on threads; all cores by default. The result does not depend on it.
+
+    Returns
+    -------
+    ndarray, (count, 2)
+        Control points, in the unit of the data. They move with the data when these are translated or scaled.
+
+    Raises
+    ------
+    ValueError
+        If the points are on a line, fewer than three distinct ones, not finite, or `count` is below 3.
+    TypeError
+        If the points are not numbers, or an option has not its type.
+
+    Examples
+    --------
+    >>> corners = [[0, 0], [400, 0], [400, 400], [0, 400]]
+    >>> sorted(map(tuple, lloyd(corners, 4).round(-1).tolist()))
+    [(100.0, 100.0), (100.0, 300.0), (300.0, 100.0), (300.0, 300.0)]
+    """
+    corners = covered_region(points)
+    count = check.count(count, "count", 3)
+    random, threads = check.generator(seed), check.threads(threads)
+    centroid, shape, _ = _moments(corners)
+    samples = _whitened(lattice(corners, max(2000, 60 * count)), centroid, shape)
+    isotropic = shape / np.linalg.norm(shape)
+    # In a thin region the best few centres are on its axis, which determines no warp. In coordinates where
+    # the region has unit covariance it is as wide as long, and they are not.
+    for frame in (isotropic, np.eye(2)):
+        here = samples @ frame.T
+        start = _spread_start(here, count, random)
+        centres = _core.lloyd(here, start, _MAX_STEPS, _TOLERANCE, threads)
+        white = np.asarray(np.linalg.solve(frame, centres.T).T)
+        if thinness(white) > 0.1:
+            break
+    return np.asarray(centroid + white @ shape.T)
+
+
+def _convex_hull(points: Floats) -> Floats:
+    """Andrew's monotone chain."""
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
+    corners = _right_turns_removed(ordered)[:-1] + _right_turns_removed(ordered[::-1])[:-1]
+    return np.array(corners or ordered[:1], dtype=np.float64).reshape(-1, 2)
+
+
+def _right_turns_removed(ordered: list[list[float]]) -> list[list[float]]:
+    chain: list[list[float]] = []
+    for x, y in ordered:
+        while len(chain) > 1:
+            (ax, ay), (bx, by) = chain[-2:]
+            if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
+                break
+            chain.pop()
+        if chain != [[x, y]]:
+            chain.append([x, y])
+    return chain
+
+
+def _moments(corners: Floats) -> tuple[Floats, Floats, float]:
+    """Return centroid, lower Cholesky factor of the covariance, and area of a convex region.
+
+    A triangle of area S, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T), s = sum v_k.
+    """
+    fan = np.stack([np.broadcast_to(corners[0], corners[2:].shape), corners[1:-1], corners[2:]], axis=1)
+    first, second = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
+    areas = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    area = float(areas.sum())
+    centroid = corners[0] + areas @ (first + second) / (3 * area)
+    about = fan - centroid
+    about = np.concatenate([about, about.sum(axis=1, keepdims=True)], axis=1)
+    covariance = np.einsum("t,tki,tkj->ij", areas, about, about) / (12 * area)
+    return centroid, np.asarray(np.linalg.cholesky(covariance)), area
+
+
+def _whitened(points: Floats, centroid: Floats, shape: Floats) -> Floats:
+    return np.asarray(np.linalg.solve(shape, (points - centroid).T).T)
+
+
+def _cell_centres(coordinates: Floats, step: float) -> Floats:
+    low, length = coordinates.min(), np.ptp(coordinates)
+    cells = max(1, round(length / step))
+    return np.asarray(low + (np.arange(cells) + 0.5) * (length / cells))
+
+
+def _spread_start(samples: Floats, count: int, random: np.random.Generator) -> Floats:
+    """Draw samples, each with a probability that grows with its squared distance to those already drawn."""
+    centres = np.empty((count, 2))
+    squared = np.ones(len(samples))
+    for k in range(count):
+        centres[k] = samples[random.choice(len(samples), p=squared / squared.sum())]
+        to_centre = ((samples - centres[k]) ** 2).sum(axis=1)
+        squared = to_centre if k == 0 else np.minimum(squared, to_centre)
+    # Off the grid: samples as near to one centre as to another would leave the choice to rounding.
+    return np.asarray(centres + 0.01 / np.sqrt(count) * random.standard_normal(centres.shape))

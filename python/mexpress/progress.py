@@ -1,0 +1,104 @@
+"""Progress of long work, on one line of standard error."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+_PATIENCE = 1.0
+"""Seconds of silence: work that is done by then needs no progress."""
+
+_TERMINAL_PERIOD = 0.1
+_LOG_PERIOD = 5.0
+"""Seconds from one report to the next: a terminal's line is redrawn, a log grows."""
+
+_CELLS = 24
+
+
+@contextmanager
+def bar(
+    total: int,
+    label: str,
+    stream: TextIO | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[Callable[[], None]]:
+    """Show how far work has come.
+
+    Nothing is shown in the first second. After it a terminal shows one line that is redrawn and wiped at the
+    end; anything else, such as a log file, gets a line every five seconds.
+
+    Parameters
+    ----------
+    total : int
+        Number of steps.
+    label : str
+        What is being worked on.
+    stream : text file, optional
+        Where to write; standard error by default. Without one (`sys.stderr` may be None), nothing is shown.
+    clock : callable
+        Returns the time in seconds.
+
+    Yields
+    ------
+    callable
+        To be called, without arguments, when a step is done.
+
+    Examples
+    --------
+    >>> with bar(3, "warps") as step:
+    ...     for _ in range(3):
+    ...         step()
+    """
+    line = _Line(total, label, stream or sys.stderr, clock)
+    try:
+        yield line.step
+    finally:
+        line.wipe()
+
+
+class _Line:
+    def __init__(self, total: int, label: str, stream: TextIO | None, clock: Callable[[], float]) -> None:
+        self.total, self.label, self.stream, self.clock = total, label, stream, clock
+        self.done = 0
+        self.start = clock()
+        self.next = self.start + _PATIENCE
+        self.terminal = stream is not None and stream.isatty()
+        self.width = 0
+
+    def step(self) -> None:
+        self.done += 1
+        now = self.clock()
+        if self.stream is None or now < self.next:
+            return
+        self.next = now + (_TERMINAL_PERIOD if self.terminal else _LOG_PERIOD)
+        text = self.text(now - self.start)
+        if self.terminal:
+            self.stream.write("\r" + text.ljust(self.width))
+            self.width = len(text)
+        else:
+            self.stream.write(text + "\n")
+        self.stream.flush()
+
+    def text(self, elapsed: float) -> str:
+        share = min(self.done / max(self.total, 1), 1.0)
+        left = elapsed / share - elapsed
+        counted = f"{self.label}: {self.done} of {self.total}, {_duration(left)} left"
+        if not self.terminal:
+            return counted
+        full = int(share * _CELLS)
+        return f"[{'#' * full}{'.' * (_CELLS - full)}] {counted}"
+
+    def wipe(self) -> None:
+        if self.stream is not None and self.width:
+            self.stream.write("\r" + " " * self.width + "\r")
+            self.stream.flush()
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -1,0 +1,419 @@
+"""What is held out and what is validated: lists of (held out, validated) pairs over data.
+
+A datum is one physical item (a match, a point, a pixel), whatever number of rows of the design it has. Every
+builder returns a `Scheme`; `LeastSquares.cross_validate` scores it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _core
+from mexpress import _validation as check
+from mexpress._validation import Integers
+
+__all__ = [
+    "IndexSets",
+    "Scheme",
+    "delaunay",
+    "exclusion_radius",
+    "from_sets",
+    "from_splits",
+    "k_fold",
+    "leave_one_out",
+    "leave_p_out",
+    "nearest",
+    "random_sampling",
+]
+
+# Past this many indices, a list of all subsets is a mistake rather than a wish.
+MOST_INDICES = 100_000_000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IndexSets(Sequence[Integers]):
+    """Sets of indices in compressed rows: a sequence of int64 arrays.
+
+    Parameters
+    ----------
+    offsets : (k + 1,) int64 array
+        Set s is ``indices[offsets[s]:offsets[s + 1]]``.
+    indices : (t,) int64 array
+        The members, set after set, increasing in each.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> sets = mx.schemes.from_sets([[0, 1], [2]]).held_out
+    >>> len(sets), sets[0]
+    (2, array([0, 1]))
+    """
+
+    offsets: Integers
+    indices: Integers
+
+    @classmethod
+    def of(cls, sets: Iterable[Integers]) -> IndexSets:
+        """Compress a list of index arrays, sorting each."""
+        arrays = [np.sort(s) for s in sets]
+        offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
+        return cls(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
+
+    @classmethod
+    def single(cls, n: int) -> IndexSets:
+        """Each of n indices alone."""
+        return cls(np.arange(n + 1), np.arange(n))
+
+    @property
+    def sizes(self) -> Integers:
+        """Number of members of each set, (k,)."""
+        return np.diff(self.offsets)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, s: Any) -> Any:
+        if isinstance(s, slice):
+            return [self[i] for i in range(*s.indices(len(self)))]
+        i = s + len(self) if s < 0 else s
+        if not 0 <= i < len(self):
+            raise IndexError(s)
+        return self.indices[self.offsets[i] : self.offsets[i + 1]]
+
+    def __iter__(self) -> Iterator[Integers]:
+        return iter(np.split(self.indices, self.offsets[1:-1])) if len(self) else iter(())
+
+    def __repr__(self) -> str:
+        return f"IndexSets({len(self)} sets, {len(self.indices)} indices)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scheme:
+    """Pairs of held-out and validated data.
+
+    Parameters
+    ----------
+    n_data : int
+        Number of data that the scheme is about.
+    held_out : IndexSets
+        Data left out of the fit, for each pair.
+    validated : IndexSets
+        Data whose prediction is scored, for each pair: a subset of those held out.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.k_fold(10, 5, seed=0)
+    Scheme(5 pairs over 10 data, 2 held out)
+    """
+
+    n_data: int
+    held_out: IndexSets
+    validated: IndexSets
+
+    def __len__(self) -> int:
+        return len(self.held_out)
+
+    def __repr__(self) -> str:
+        sizes = self.held_out.sizes
+        low, high = (int(sizes.min()), int(sizes.max())) if len(self) else (0, 0)
+        span = f"{low}" if low == high else f"{low} to {high}"
+        return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
+
+
+def join(schemes: Sequence[Scheme]) -> Scheme:
+    """All pairs of several schemes over the same data, one after another."""
+
+    def joined(sets: Sequence[IndexSets]) -> IndexSets:
+        sizes = np.concatenate([s.sizes for s in sets])
+        return IndexSets(
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), np.concatenate([s.indices for s in sets])
+        )
+
+    return Scheme(
+        schemes[0].n_data, joined([s.held_out for s in schemes]), joined([s.validated for s in schemes])
+    )
+
+
+def leave_one_out(n: int) -> Scheme:
+    """Hold out each datum alone: CMPRESS, equation (8).
+
+    Parameters
+    ----------
+    n : int
+        Number of data, at least 1.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.leave_one_out(3)
+    Scheme(3 pairs over 3 data, 1 held out)
+    """
+    sets = IndexSets.single(check.count(n, "n", 1))
+    return Scheme(len(sets), sets, sets)
+
+
+def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
+    """Split the data at random into k folds of nearly equal size, and hold out each: equation (9).
+
+    Parameters
+    ----------
+    n : int
+        Number of data.
+    k : int
+        Number of folds, from 2 to n.
+    seed : int or numpy Generator, optional
+        Where the randomness comes from; None draws afresh.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.k_fold(11, 3, seed=0)
+    Scheme(3 pairs over 11 data, 3 to 4 held out)
+    """
+    n = check.count(n, "n", 2)
+    k = check.count(k, "k", 2, n)
+    sets = IndexSets.of(np.array_split(check.generator(seed).permutation(n), k))
+    return Scheme(n, sets, sets)
+
+
+def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = None) -> Scheme:
+    """Local exclusion: validate each datum with all data within a radius of it held out, equations (12, 13).
+
+    Parameters
+    ----------
+    points : (n, d) array, d from 1 to 3
+        Where the data are.
+    radius : float
+        Distance, in the unit of the points, up to which data are held out (d <= radius); 0 holds out the datum
+        and those that coincide with it. The paper advises 5 to 10 % of the domain's diagonal.
+    threads : int, optional
+        At most so many threads.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> scheme = mx.schemes.exclusion_radius([[0, 0], [1, 0], [3, 0]], radius=1.5)
+    >>> list(scheme.held_out)
+    [array([0, 1]), array([0, 1]), array([2])]
+    """
+    where = check.points(points, "points", dimension=None)
+    rule = "It must be a number of at least 0."
+    reach = check.number(radius, "radius", rule, 0.0)
+    return _around(len(where), _core.neighbours_within(where, reach, check.threads(threads)))
+
+
+def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
+    """Validate each datum with its k nearest held out, itself counted.
+
+    Parameters
+    ----------
+    points : (n, d) array, d from 1 to 3
+        Where the data are.
+    k : int
+        Number of data held out, from 1 (leave-one-out) to n. Ties in distance go to the smaller index.
+    threads : int, optional
+        At most so many threads.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> list(mx.schemes.nearest([[0, 0], [1, 0], [3, 0]], k=2).held_out)
+    [array([0, 1]), array([0, 1]), array([1, 2])]
+    """
+    where = check.points(points, "points", dimension=None)
+    k = check.count(k, "k", 1, len(where))
+    return _around(len(where), _core.neighbours_nearest(where, k, check.threads(threads)))
+
+
+def delaunay(points: ArrayLike) -> Scheme:
+    """Validate each datum with its neighbours in the Delaunay triangulation held out.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Where the data are. Data that coincide share their neighbours; on a line the neighbours are those next
+        to a datum.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> list(mx.schemes.delaunay([[0, 0], [1, 0], [2, 0]]).held_out)
+    [array([0, 1]), array([0, 1, 2]), array([1, 2])]
+    """
+    where = check.points(points, "points")
+    return _around(len(where), _core.neighbours_delaunay(where))
+
+
+def _around(n: int, neighbourhoods: tuple[Integers, Integers]) -> Scheme:
+    return Scheme(n, IndexSets(*neighbourhoods), IndexSets.single(n))
+
+
+def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -> Scheme:
+    """Hold out every set of p data, or a random choice of the sets.
+
+    Parameters
+    ----------
+    n : int
+        Number of data.
+    p : int
+        Size of the sets, from 1 to n.
+    max_sets : int, optional
+        If there are more sets than this, so many different ones are drawn.
+    seed : int or numpy Generator, optional
+        Where the randomness comes from; None draws afresh.
+
+    Raises
+    ------
+    ValueError
+        If all sets are asked for and they are too many to list.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.leave_p_out(5, 2)
+    Scheme(10 pairs over 5 data, 2 held out)
+    >>> mx.schemes.leave_p_out(100, 5, max_sets=20, seed=0)
+    Scheme(20 pairs over 100 data, 5 held out)
+    """
+    n = check.count(n, "n", 1)
+    p = check.count(p, "p", 1, n)
+    total = math.comb(n, p)
+    wanted = total if max_sets is None else min(total, check.count(max_sets, "max_sets", 1))
+    if wanted * p > MOST_INDICES:
+        rule = f"The sets must fit in {MOST_INDICES} indices: limit them with max_sets."
+        check.refuse("p", rule, f"{wanted} sets of {p}")
+    rng = check.generator(seed)
+    if 2 * wanted > total:
+        every = np.fromiter(chain.from_iterable(combinations(range(n), p)), np.int64, total * p)
+        sets = every.reshape(total, p)[np.sort(rng.choice(total, wanted, replace=False))]
+    else:
+        drawn: dict[tuple[int, ...], None] = {}
+        while len(drawn) < wanted:
+            drawn[tuple(sorted(rng.choice(n, p, replace=False).tolist()))] = None
+        sets = np.array(list(drawn), dtype=np.int64)
+    compressed = IndexSets(np.arange(wanted + 1) * p, sets.ravel())
+    return Scheme(n, compressed, compressed)
+
+
+def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme:
+    """Hold out random sets of one size, again and again.
+
+    Parameters
+    ----------
+    n : int
+        Number of data.
+    size : int
+        How many are held out each time, from 1 to n.
+    repeats : int
+        How many times.
+    seed : int or numpy Generator, optional
+        Where the randomness comes from; None draws afresh.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.random_sampling(50, 10, repeats=3, seed=0)
+    Scheme(3 pairs over 50 data, 10 held out)
+    """
+    n = check.count(n, "n", 1)
+    size = check.count(size, "size", 1, n)
+    repeats = check.count(repeats, "repeats", 1)
+    rng = check.generator(seed)
+    sets = IndexSets.of(rng.choice(n, size, replace=False) for _ in range(repeats))
+    return Scheme(n, sets, sets)
+
+
+def from_sets(
+    held_out: Iterable[ArrayLike], validated: Iterable[ArrayLike] | None = None, n: int | None = None
+) -> Scheme:
+    """Build a scheme of any sets of data.
+
+    Parameters
+    ----------
+    held_out : iterable of index arrays
+        Data left out of the fit, for each pair; from 0, in any order.
+    validated : iterable of index arrays, optional
+        Data that are scored, for each pair; all that are held out if not given.
+    n : int, optional
+        Number of data; one more than the largest index if not given.
+
+    Raises
+    ------
+    ValueError
+        If an index repeats, is negative or not below n, or is validated without being held out.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.from_sets([[0, 1, 2], [7, 8]], validated=[[1], [7]])
+    Scheme(2 pairs over 9 data, 2 to 3 held out)
+    """
+    bound = None if n is None else check.count(n, "n", 1)
+    held = _listed(held_out, "held_out", bound)
+    kept = held if validated is None else _listed(validated, "validated", bound)
+    if len(held) != len(kept):
+        rule = f"It must have one set for each of the {len(held)} that are held out."
+        check.refuse("validated", rule, f"{len(kept)} sets")
+    for s, (out, scored) in enumerate(zip(held, kept, strict=True)):
+        if not np.isin(scored, out, assume_unique=True).all():
+            stray = np.setdiff1d(scored, out)[0]
+            check.refuse("validated", "Validated data must be held out.", f"datum {stray} in set {s}")
+    sets = IndexSets.of(held)
+    largest = int(sets.indices.max()) if len(sets.indices) else 0
+    return Scheme(largest + 1 if bound is None else bound, sets, IndexSets.of(kept))
+
+
+def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> list[Integers]:
+    rule = "It must be a list of index arrays."
+    if isinstance(sets, str | bytes):
+        check.refuse(name, rule, check.describe(sets), TypeError)
+    try:
+        items = list(sets)
+    except TypeError:
+        check.refuse(name, rule, check.describe(sets), TypeError)
+    return [check.indices(s, f"{name}[{i}]", bound) for i, s in enumerate(items)]
+
+
+def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = None) -> Scheme:
+    """Turn (train, test) index pairs, as scikit-learn's and verde's splitters give them, into a scheme.
+
+    The test data are validated; all that is not trained on is held out, so that a gap that the splitter leaves
+    around its test data is kept.
+
+    Parameters
+    ----------
+    splits : iterable of (train, test)
+        Index arrays, for instance ``KFold(5).split(X)``.
+    n : int, optional
+        Number of data; one more than the largest index if not given.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.schemes.from_splits([([0, 1], [2]), ([2], [0])])
+    Scheme(2 pairs over 3 data, 1 to 2 held out)
+    """
+    rule = "It must be a list of (train, test) index arrays."
+    if isinstance(splits, str | bytes):
+        check.refuse("splits", rule, check.describe(splits), TypeError)
+    try:
+        pairs = [(train, test) for train, test in splits]
+    except (TypeError, ValueError):
+        check.refuse("splits", rule, check.describe(splits), TypeError)
+    trains = _listed([train for train, _ in pairs], "train", n)
+    tests = _listed([test for _, test in pairs], "test", n)
+    for s, (train, test) in enumerate(zip(trains, tests, strict=True)):
+        if np.intersect1d(train, test).size:
+            check.refuse("splits", "Test data must not be trained on.", f"a common datum in split {s}")
+    largest = max((int(a.max()) for a in chain(trains, tests) if a.size), default=-1)
+    total = largest + 1 if n is None else check.count(n, "n", 1)
+    everything = np.arange(total)
+    return from_sets([np.setdiff1d(everything, train) for train in trains], tests, n=max(total, 1))

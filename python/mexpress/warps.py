@@ -1,0 +1,528 @@
+"""Image warps: the affine and thin-plate-spline warps and their fractional (deformable perspective) forms."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mexpress import _validation as check
+from mexpress import files
+from mexpress._validation import Floats
+from mexpress.leastsquares import LeastSquares
+from mexpress.liftings import Lifting, evaluate, make_lifting, slopes
+from mexpress.placement import covered_region, lattice
+
+__all__ = ["Warp", "WarpDesign", "fit_warp", "warp_design"]
+
+_SAMPLES = 1000
+"""Points of the domain that decide what is usual there and start the inverse."""
+
+
+@files.storable
+@dataclass(frozen=True, eq=False, repr=False)
+class Warp:
+    """A map from points of a source image to points of a target image.
+
+    With nu the lifting and p_a the columns of the parameters, q' = (nu . p_1, nu . p_2) / (nu . p_3): the
+    deformable perspective warp (eqs. 16-21), a homography with three control points. With two columns there
+    is no denominator.
+
+    Parameters
+    ----------
+    lifting : Lifting
+        With l control points in the source image.
+    parameters : array_like, (l, 3) or (l, 2)
+        Values at the control points: of the numerators, in pixels of the target image, and of the
+        denominator, whose mean is 1 (eq. 19). A common factor of all three columns changes nothing.
+    domain : array_like, (k, 2)
+        Points of the source image that the warp was fitted on. Their convex hull is kept; outside it the
+        warp extrapolates.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, a number is not finite, or the domain has no area.
+
+    Notes
+    -----
+    `cv2.remap(target, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
+    `skimage.transform.warp(target, warp, output_shape=(height, width))` both bring the target image into the
+    frame of the source image: they ask, for every source pixel, where to look.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp = fit_warp(square, [[10, 0], [110, 0], [10, 200], [110, 200]], square[:3], fractional=False)
+    >>> warp
+    Warp(tps, 3 control points)
+    >>> warp([[50, 50]]).round(6)
+    array([[ 60., 100.]])
+    >>> warp.jacobian([[50, 50]]).round(6) + 0.0
+    array([[[1., 0.], [0., 2.]]])
+    """
+
+    lifting: Lifting
+    parameters: Floats
+    domain: Floats
+    kind: ClassVar[str] = "warp"
+
+    def __post_init__(self) -> None:
+        parameters = check.matrix(self.parameters, "parameters").copy()
+        count = len(self.lifting.control_points)
+        if parameters.shape not in {(count, 2), (count, 3)}:
+            rule = f"Their shape must be ({count}, 2) or ({count}, 3) for {count} control points."
+            check.refuse("parameters", rule, f"{parameters.shape}")
+        domain = covered_region(self.domain, "domain")
+        for name, array in (("parameters", parameters), ("domain", domain)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __repr__(self) -> str:
+        form = "fractional " if self.fractional else ""
+        return f"Warp({form}{self.lifting.name}, {len(self.control_points)} control points)"
+
+    @property
+    def fractional(self) -> bool:
+        """Whether there is a denominator."""
+        return bool(self.parameters.shape[1] == 3)
+
+    @property
+    def control_points(self) -> Floats:
+        """Control points in the source image, (l, 2)."""
+        return self.lifting.control_points
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Map points of the source image to the target image.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the source image, x then y.
+
+        Returns
+        -------
+        ndarray, (k, 2)
+            Positions in pixels of the target image; infinite or NaN where the denominator is exactly zero.
+        """
+        return self._map(check.points(points, "points"))
+
+    def jacobian(self, points: ArrayLike) -> Floats:
+        """Return the derivatives of the target position along the source position.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the source image.
+
+        Returns
+        -------
+        ndarray, (k, 2, 2)
+            Element [i, a, b] is d target_a / d source_b at point i; infinite or NaN where the denominator is
+            exactly zero.
+        """
+        return self._jacobian(check.points(points, "points"))
+
+    def denominator(self, points: ArrayLike) -> Floats:
+        """Return the denominator nu . p_3 at points of the source image, (k,); ones if there is none."""
+        return self._denominator(check.points(points, "points"))
+
+    def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
+        """Tell where the warp sends points to infinity or beyond, so that its values mean nothing.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the source image.
+        tolerance : float
+            A denominator is near zero below this fraction of its median over the domain.
+
+        Returns
+        -------
+        ndarray of bool, (k,)
+            True where the denominator is near zero or has not the sign that it has over the domain.
+        """
+        points, tolerance = check.points(points, "points"), check.positive(tolerance, "tolerance")
+        usual = np.median(self._denominator(self._samples))
+        return np.asarray(~(self._denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
+
+    def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Tell where the warp folds: where it turns the plane over, other than over most of the domain.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the source image.
+
+        Returns
+        -------
+        ndarray of bool, (k,)
+            True where the Jacobian's determinant vanishes (to 1e-9 of its squared norm), is undefined, or has
+            not the sign that it has over the larger part of the domain.
+        """
+        orientation = self._turning(self._samples).sum()
+        return np.asarray(self._turning(check.points(points, "points")) * orientation <= 0)
+
+    def inverse(self, points: ArrayLike, tolerance: float = 1e-8, max_steps: int = 50) -> Floats:
+        """Find points of the source image that map to given points of the target image.
+
+        Newton's method with halved steps, from the nearest image of a sample of the domain. A warp that folds
+        has several solutions, of which one is found.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the target image.
+        tolerance : float
+            Distance in pixels of the target image at which a solution is accepted.
+        max_steps : int
+            Upper bound on the steps.
+
+        Returns
+        -------
+        ndarray, (k, 2)
+            Positions in pixels of the source image, inside the domain or not; NaN where none was found, or
+            where the warp vanishes.
+
+        Examples
+        --------
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = fit_warp(square, [[0, 0], [100, 10], [0, 100], [70, 60]], square[:3])
+        >>> warp.inverse(warp([[30, 40]])).round(6)
+        array([[30., 40.]])
+        """
+        points = check.points(points, "points")
+        tolerance = check.positive(tolerance, "tolerance")
+        max_steps = check.count(max_steps, "max_steps", 0)
+        usable = self._samples[~self.vanishes(self._samples)]
+        if not len(usable):
+            return np.full_like(points, np.nan)
+        found = usable[_nearest(points, self._map(usable))]
+        error = points - self._map(found)
+        damping = np.ones(len(points))
+        for _ in range(max_steps):
+            far = np.flatnonzero(_norm(error) > tolerance)
+            if not len(far):
+                break
+            trial = found[far] + damping[far, None] * self._newton_step(found[far], error[far])
+            trial_error = points[far] - self._map(trial)
+            better = _norm(trial_error) < _norm(error[far])  # False for NaN
+            found[far[better]], error[far[better]] = trial[better], trial_error[better]
+            damping[far] = np.where(better, np.minimum(1, 2 * damping[far]), damping[far] / 2)
+        found[(_norm(error) > tolerance) | self.vanishes(found)] = np.nan
+        return found
+
+    def dense_map(self, width: int, height: int) -> NDArray[np.float32]:
+        """Return the target position of every pixel of the source image, for `cv2.remap`.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the source image in pixels.
+
+        Returns
+        -------
+        ndarray of float32, (2, height, width)
+            Target x, then target y: `cv2.remap(target, *warp.dense_map(width, height), cv2.INTER_LINEAR)`.
+            Where the warp vanishes the values mean nothing.
+
+        Examples
+        --------
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> shift = fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
+        >>> shift.dense_map(3, 2).round(3)[0]
+        array([[7., 8., 9.],
+               [7., 8., 9.]], dtype=float32)
+        """
+        width, height = check.count(width, "width", 1), check.count(height, "height", 1)
+        positions = np.empty((2, height, width), dtype=np.float32)
+        x = np.arange(width, dtype=np.float64)
+        for y in range(height):
+            row = self._map(np.column_stack([x, np.full(width, float(y))]))
+            with np.errstate(over="ignore"):
+                positions[:, y] = row.T
+        return positions
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the warp to a file, which `mexpress.load` reads."""
+        files.save(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the warp, by name."""
+        return {
+            "lifting": np.array(self.lifting.name),
+            "control_points": self.control_points,
+            "parameters": self.parameters,
+            "domain": self.domain,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a warp from the arrays of `to_arrays`."""
+        lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
+        return cls(lifting, arrays["parameters"], arrays["domain"])
+
+    @cached_property
+    def _samples(self) -> Floats:
+        return lattice(self.domain, _SAMPLES)
+
+    def _denominator(self, points: Floats) -> Floats:
+        if not self.fractional:
+            return np.ones(len(points))
+        return evaluate(self.lifting, points, self.parameters[:, 2:])[:, 0]
+
+    def _map(self, points: Floats) -> Floats:
+        values = evaluate(self.lifting, points, self.parameters)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return values[:, :2] / values[:, 2:] if self.fractional else values
+
+    def _jacobian(self, points: Floats) -> Floats:
+        derivatives = slopes(self.lifting, points, self.parameters)
+        if not self.fractional:
+            return derivatives
+        values = evaluate(self.lifting, points, self.parameters)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            target = values[:, :2, None] / values[:, 2:, None]
+            return np.asarray((derivatives[:, :2] - target * derivatives[:, 2:]) / values[:, 2:, None])
+
+    def _turning(self, points: Floats) -> NDArray[np.int64]:
+        """Return the sign of the Jacobian's determinant, 0 where it vanishes or is undefined."""
+        jacobian = self._jacobian(points)
+        with np.errstate(invalid="ignore", over="ignore"):
+            determinant = _determinant(jacobian)
+            sizeable = np.abs(determinant) > 1e-9 * (jacobian**2).sum(axis=(1, 2))
+            return np.where(sizeable, np.where(determinant > 0, 1, -1), 0)
+
+    def _newton_step(self, points: Floats, error: Floats) -> Floats:
+        """Return J^-1 error by Cramer's rule: 0 where J is singular, nowhere longer than the domain."""
+        jacobian = self._jacobian(points)
+        (a, b), (c, d) = jacobian.transpose(1, 2, 0)
+        u, v = error.T
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            step = np.column_stack([d * u - b * v, a * v - c * u]) / _determinant(jacobian)[:, None]
+        step[~np.isfinite(step).all(axis=1)] = 0
+        longest = np.hypot(*np.ptp(self.domain, axis=0))
+        return np.asarray(step * (longest / np.maximum(_norm(step), longest))[:, None])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WarpDesign:
+    """The linear least-squares problem whose solution is a warp: minimise ||b - A x||.
+
+    The residual b - A x is in pixels of the target image in both forms.
+
+    Attributes
+    ----------
+    A : ndarray, (2n, 3l - 1) or (n, l)
+        Design matrix. Fractional: rows 2i and 2i + 1 are the x and y equations of match i; columns are those
+        of p_1 (l), of p_2 (l) and of z (l - 1), where p_3 = 1 + N z. Otherwise: the lifting's basis.
+    b : ndarray, (2n,) or (n, 2)
+        Responses.
+    coupling : int
+        Rows of A per match: 2 or 1.
+    lifting : Lifting
+        With l control points.
+    domain : ndarray, (k, 2)
+        Convex hull of the source points.
+    centre : ndarray, (2,)
+        Mean of the target points, the origin of the unknowns p_1 and p_2.
+    scale : float
+        Root mean square distance of the target points to their mean, the unit of p_1 and p_2.
+    """
+
+    A: Floats
+    b: Floats
+    coupling: int
+    lifting: Lifting
+    domain: Floats
+    centre: Floats
+    scale: float
+
+    def __repr__(self) -> str:
+        return f"WarpDesign({self.A.shape[0]} x {self.A.shape[1]}, {self.lifting!r})"
+
+    @property
+    def fractional(self) -> bool:
+        """Whether the warp has a denominator."""
+        return self.b.ndim == 1
+
+    def warp(self, coefficients: ArrayLike) -> Warp:
+        """Return the warp of a solution x.
+
+        Parameters
+        ----------
+        coefficients : array_like, (3l - 1,) or (l, 2)
+            Unknowns, in the order of the columns of A.
+        """
+        x = np.asarray(coefficients, dtype=np.float64)
+        if not self.fractional:
+            return Warp(self.lifting, x, self.domain)
+        count = len(self.lifting.control_points)
+        denominator = 1 + _ones_complement(count) @ x[2 * count :]
+        numerators = self.scale * x[: 2 * count].reshape(2, count).T + np.outer(denominator, self.centre)
+        return Warp(self.lifting, np.column_stack([numerators, denominator]), self.domain)
+
+    def bending(self) -> Floats:
+        """Return the rows Z whose squared norm ||Z x||^2 is the bending energy of the warp.
+
+        Not fractional: of one coordinate, so rows apply to both responses. Fractional: of its three functions
+        with the target centred, the denominator times `scale`: all are then in pixels of the target image,
+        and a similarity of it does not matter.
+
+        Returns
+        -------
+        ndarray, (3(l - 3), 3l - 1) or (l - 3, l)
+            In pixels of the target image per pixel of the source image.
+        """
+        one = self.lifting.bending()
+        if not self.fractional:
+            return one
+        (k, count), last = one.shape, one @ _ones_complement(one.shape[1])
+        rows = np.zeros((3 * k, 3 * count - 1))
+        rows[:k, :count] = rows[k : 2 * k, count : 2 * count] = one
+        rows[2 * k :, 2 * count :] = last
+        return self.scale * rows
+
+
+def warp_design(
+    lifting: Lifting, source: ArrayLike, target: ArrayLike, fractional: bool = True
+) -> WarpDesign:
+    """Write the fit of a warp to matches as a linear least-squares problem.
+
+    Fractional: the algebraic error of match i is s (t p_3 . nu - p . nu) for p = p_1, p_2 and t = x, y of the
+    target point, centred and in units of s. With denominators of mean one, p_3 = 1 + N z, it is close to the
+    transfer error in pixels. Otherwise it is the transfer error.
+
+    Parameters
+    ----------
+    lifting : Lifting
+        With control points in the source image.
+    source, target : array_like, (n, 2)
+        Matched points in pixels of either image, x then y.
+    fractional : bool
+        Whether the warp has a denominator.
+
+    Returns
+    -------
+    WarpDesign
+        Its solution does not change, but for rounding, with a similarity of either image.
+
+    Raises
+    ------
+    ValueError
+        If the points are not n pairs of finite numbers, or the source points are on a line.
+
+    Examples
+    --------
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp_design(ThinPlateSpline(square), square, square)
+    WarpDesign(8 x 11, ThinPlateSpline(4 control points))
+    """
+    source, target = _matches(source, target)
+    domain = covered_region(source, "source")
+    basis = lifting.basis(source)
+    centre = target.mean(axis=0)
+    about = target - centre
+    scale = float(np.sqrt((about**2).sum(axis=1).mean())) or 1.0
+    if not fractional:
+        return WarpDesign(basis, target, 1, lifting, domain, centre, scale)
+    n, count = basis.shape
+    rows = np.zeros((n, 2, 3 * count - 1))
+    rows[:, 0, :count] = rows[:, 1, count : 2 * count] = scale * basis
+    rows[:, :, 2 * count :] = -about[:, :, None] * (basis @ _ones_complement(count))[:, None, :]
+    return WarpDesign(rows.reshape(2 * n, -1), about.reshape(-1), 2, lifting, domain, centre, scale)
+
+
+def fit_warp(
+    source: ArrayLike,
+    target: ArrayLike,
+    control_points: ArrayLike,
+    lifting: str = "tps",
+    fractional: bool = True,
+) -> Warp:
+    """Fit a warp with given control points to matches, by least squares.
+
+    Parameters
+    ----------
+    source, target : array_like, (n, 2)
+        Matched points in pixels of either image, x then y.
+    control_points : array_like, (l, 2)
+        In pixels of the source image, 3 or more. With three the warp is affine, or a homography.
+    lifting : str
+        Name of the functions that bend the plane: "tps", thin-plate splines.
+    fractional : bool
+        Whether the warp has a denominator, that is, models perspective. It then has 3l - 1 parameters instead
+        of 2l and minimises the algebraic error, close to the transfer error in pixels.
+
+    Returns
+    -------
+    Warp
+        From the source image to the target image.
+
+    Raises
+    ------
+    ValueError
+        If the input is not n matches and l distinct control points that are not on a line, or if the matches
+        do not determine the warp: they are too few, or none is near some control point.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp = fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+    >>> warp
+    Warp(fractional tps, 3 control points)
+    >>> warp([[50, 0], [100, 100]]).round(6) + 0.0
+    array([[ 50.,   0.], [ 80., 100.]])
+    """
+    if not isinstance(fractional, bool | np.bool_):
+        check.refuse("fractional", "It must be True or False.", check.describe(fractional), TypeError)
+    design = warp_design(make_lifting(lifting, control_points), source, target, bool(fractional))
+    m, p = design.A.shape
+    model = LeastSquares(design.A, design.b, coupling=design.coupling) if m >= p else None
+    rank = m if model is None else model.rank
+    if model is None or rank < p:
+        count, n = len(design.lifting.control_points), m // design.coupling
+        rule = "The matches must determine the warp, so take fewer control points."
+        given = f"{count}, hence {p} unknowns, and {n} matches whose equations have rank {rank}"
+        check.refuse("control_points", rule, given)
+    return design.warp(model.coefficients)
+
+
+def _matches(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
+    source, target = check.points(source, "source"), check.points(target, "target")
+    if len(source) != len(target):
+        rule = "It must have one point per source point."
+        check.refuse("target", rule, f"{len(target)} for {len(source)}")
+    return source, target
+
+
+def _ones_complement(count: int) -> Floats:
+    """Return N, (count, count - 1): Helmert's orthonormal basis of the vectors of mean zero."""
+    k = np.arange(1, count)
+    columns = np.triu(np.ones((count, count - 1)))
+    columns[k, k - 1] = -k
+    return np.asarray(columns / np.sqrt(k * (k + 1)))
+
+
+def _determinant(matrices: Floats) -> Floats:
+    return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
+
+
+def _nearest(points: Floats, others: Floats) -> NDArray[np.intp]:
+    """Return the index of the nearest of the others to every point."""
+    centre = others.mean(axis=0)
+    points, others = points - centre, others - centre
+    nearest = np.empty(len(points), dtype=np.intp)
+    step = 1 + (1 << 18) // len(others)
+    for first in range(0, len(points), step):
+        squared = (others**2).sum(axis=1) - 2 * points[first : first + step] @ others.T  # but for a constant
+        nearest[first : first + step] = squared.argmin(axis=1)
+    return nearest
+
+
+def _norm(vectors: Floats) -> Floats:
+    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))

@@ -1,0 +1,392 @@
+//! The kernel under every held-out pair: Cholesky factorisation of `C - X X^T`, with a border.
+//!
+//! A pair needs `I - Q_K^T Q_K` (primal) or `I - Q_K Q_K^T` (dual) formed, factored, and solved against the
+//! residuals. All three are one recurrence. Write `W = [X | L]`, with `L` the factor under construction; then
+//! the lower triangle of `L` is
+//!
+//! ```text
+//! L_ij = (C_ij - sum_{t < terms + j} W_it W_jt) / L_jj
+//! ```
+//!
+//! so the Gram matrix is never stored on its own. Rows below the first `order` ones (the *border*) follow the same
+//! recurrence and come out as forward solves: a row `c` with terms `x` becomes `L^-1 (c - X x)`.
+//!
+//! Storage is in panels of eight rows: a panel holds its columns one after another, eight contiguous
+//! numbers each, so that every load of the inner loop is contiguous and aligned whatever the vector width.
+
+use pulp::{Arch, Simd, WithSimd};
+
+const PANEL: usize = 8;
+
+/// Columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
+const BLOCK: usize = 8;
+
+/// Workspace of the bordered factorisation. Reused from pair to pair; grows, never shrinks.
+#[derive(Default)]
+pub struct Bordered {
+    storage: Vec<f64>,
+    skip: usize,
+    shape: Shape,
+    inverse_pivots: Vec<f64>,
+    solution: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Shape {
+    order: usize,
+    terms: usize,
+    panels: usize,
+}
+
+impl Shape {
+    fn stride(self) -> usize {
+        (self.terms + self.order) * PANEL
+    }
+}
+
+impl Bordered {
+    /// Makes room for systems of up to these sizes, so that `start` allocates nothing.
+    pub fn reserve(&mut self, order: usize, border: usize, terms: usize) {
+        let panels = (order + border).div_ceil(PANEL);
+        let needed = panels * (terms + order) * PANEL + PANEL;
+        if self.storage.len() < needed {
+            self.storage = vec![0.0; needed];
+            self.skip = self.storage.as_ptr().align_offset(64).min(PANEL);
+        }
+        let rows = panels * PANEL;
+        if self.solution.len() < rows {
+            self.solution.resize(rows, 0.0);
+            self.inverse_pivots.resize(rows, 0.0);
+        }
+    }
+
+    /// Begins a system of `order` unknowns: `C` is the identity, its border zero; terms are for the caller to set.
+    pub fn start(&mut self, order: usize, border: usize, terms: usize) {
+        self.reserve(order, border, terms);
+        self.shape = Shape { order, terms, panels: (order + border).div_ceil(PANEL) };
+        let stride = self.shape.stride();
+        for panel in 0..self.shape.panels {
+            let at = self.skip + panel * stride;
+            self.storage[at + terms * PANEL..at + stride].fill(0.0);
+        }
+        for j in 0..order {
+            *self.entry(j, j) = 1.0;
+        }
+    }
+
+    /// Entry of `C`, for rows below `order + border` and columns below `order`.
+    pub fn entry(&mut self, row: usize, column: usize) -> &mut f64 {
+        let at = (self.shape.terms + column) * PANEL + row % PANEL;
+        &mut self.storage[self.skip + row / PANEL * self.shape.stride() + at]
+    }
+
+    /// Sets every term: the rows' entries are those of `head(t)`, then those of `border(t)`, then zeros.
+    pub fn set_terms<'a>(&mut self, head: impl Fn(usize) -> &'a [f64], border: impl Fn(usize) -> &'a [f64]) {
+        let Shape { order, terms, panels } = self.shape;
+        let stride = self.shape.stride();
+        // Panel by panel: the writes are then contiguous, and the reads find their rows in the cache.
+        for panel in 0..panels {
+            let at = self.skip + panel * stride;
+            let columns = self.storage[at..at + terms * PANEL].chunks_exact_mut(PANEL);
+            let first = panel * PANEL;
+            if first + PANEL <= order {
+                for (t, column) in columns.enumerate() {
+                    column.copy_from_slice(&head(t)[first..first + PANEL]);
+                }
+            } else {
+                let (kept, skipped) = (order.max(first) - first, first.max(order) - order);
+                for (t, column) in columns.enumerate() {
+                    let tail = &border(t)[skipped..];
+                    let given = tail.len().min(PANEL - kept);
+                    column[..kept].copy_from_slice(&head(t)[first.min(order)..order]);
+                    column[kept..kept + given].copy_from_slice(&tail[..given]);
+                    column[kept + given..].fill(0.0);
+                }
+            }
+        }
+    }
+
+    /// Sets all terms of one row.
+    pub fn set_row(&mut self, row: usize, terms: &[f64]) {
+        let at = self.skip + row / PANEL * self.shape.stride();
+        let lanes = self.storage[at..].chunks_exact_mut(PANEL);
+        for (lane, &term) in lanes.zip(terms) {
+            lane[row % PANEL] = term;
+        }
+    }
+
+    /// Zeroes the terms of rows from `first` on, the padding of the last panel included.
+    pub fn clear_rows(&mut self, first: usize) {
+        let stride = self.shape.stride();
+        for row in first..self.shape.panels * PANEL {
+            let at = self.skip + row / PANEL * stride;
+            for t in 0..self.shape.terms {
+                self.storage[at + t * PANEL + row % PANEL] = 0.0;
+            }
+        }
+    }
+
+    /// Factorises, and returns the smallest pivot. At a pivot that is not positive it stops: nothing else is
+    /// then defined.
+    pub fn factor(&mut self) -> f64 {
+        let Self { storage, skip, shape, inverse_pivots, .. } = self;
+        let storage = &mut storage[*skip..];
+        Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
+    }
+
+    /// Entry `column` of the forward solve of border row `row` (counted from the first border row).
+    pub fn forward(&self, row: usize, column: usize) -> f64 {
+        let Shape { order, terms, .. } = self.shape;
+        let row = order + row;
+        self.storage[self.skip + row / PANEL * self.shape.stride() + (terms + column) * PANEL + row % PANEL]
+    }
+
+    /// The unknowns `from..order` of `L^T z = y`, with y the forward solve of border row `row`.
+    pub fn back_solve(&mut self, row: usize, from: usize) -> &[f64] {
+        let Shape { order, terms, panels } = self.shape;
+        let stride = self.shape.stride();
+        self.solution[..panels * PANEL].fill(0.0);
+        for j in (from..order).rev() {
+            // Unknowns not yet found are zero, which masks what lies above the diagonal.
+            let mut lanes = [0.0; PANEL];
+            for panel in j / PANEL..panels {
+                let at = self.skip + panel * stride + (terms + j) * PANEL;
+                let column = &self.storage[at..at + PANEL];
+                let known = &self.solution[panel * PANEL..(panel + 1) * PANEL];
+                for ((lane, a), b) in lanes.iter_mut().zip(column).zip(known) {
+                    *lane += a * b;
+                }
+            }
+            let sum: f64 = lanes.iter().sum();
+            self.solution[j] = (self.forward(row, j) - sum) * self.inverse_pivots[j];
+        }
+        &self.solution[from..order]
+    }
+}
+
+struct Factor<'a> {
+    storage: &'a mut [f64],
+    shape: Shape,
+    inverse_pivots: &'a mut [f64],
+}
+
+impl WithSimd for Factor<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        // Accumulators must fit the registers: 32 of them with AVX-512, 16 without.
+        match S::F64_LANES {
+            8 => self.run::<S, 1, 2, 8>(simd),
+            4 => self.run::<S, 2, 1, 4>(simd),
+            2 => self.run::<S, 4, 1, 2>(simd),
+            _ => self.run::<S, 8, 1, 1>(simd),
+        }
+    }
+}
+
+impl Factor<'_> {
+    /// `V` vectors make a panel; a tile is `R` panels by `C` columns.
+    #[inline(always)]
+    fn run<S: Simd, const V: usize, const R: usize, const C: usize>(mut self, simd: S) -> f64 {
+        let Shape { order, terms, panels } = self.shape;
+        let column_panels = order.div_ceil(PANEL);
+        let mut smallest = f64::INFINITY;
+        for first in (0..column_panels).step_by(BLOCK) {
+            let last = column_panels.min(first + BLOCK);
+            let done = terms + first * PANEL;
+            for row in (first..panels).step_by(R) {
+                for column in first..last.min(row + R) {
+                    self.update::<S, V, R, C>(simd, row, column, 0, done);
+                }
+            }
+            for column in first..last {
+                if column > first {
+                    for row in (column..panels).step_by(R) {
+                        self.update::<S, V, R, C>(simd, row, column, done, terms + column * PANEL);
+                    }
+                }
+                smallest = smallest.min(self.pivots(column));
+                if smallest.is_nan() || smallest <= 0.0 {
+                    return smallest.min(0.0);
+                }
+                for row in column + 1..panels {
+                    self.solve::<S, V>(simd, row, column);
+                }
+            }
+        }
+        smallest
+    }
+
+    /// Subtracts the terms `from..to` from the tile at panels `row..row + R` and the columns of panel `column`.
+    #[inline(always)]
+    fn update<S: Simd, const V: usize, const R: usize, const C: usize>(
+        &mut self,
+        simd: S,
+        row: usize,
+        column: usize,
+        from: usize,
+        to: usize,
+    ) {
+        let stride = self.shape.stride();
+        let width = PANEL.min(self.shape.order - column * PANEL);
+        if R == 2 && row + 1 == self.shape.panels {
+            return self.update::<S, V, 1, C>(simd, row, column, from, to);
+        }
+        for c in (0..width).step_by(C) {
+            let mut sums = [[[simd.splat_f64s(0.0); V]; R]; C];
+            let factors = &self.storage[column * stride + from * PANEL..column * stride + to * PANEL];
+            let rows: [&[S::f64s]; R] = std::array::from_fn(|r| {
+                let at = (row + r) * stride;
+                S::as_simd_f64s(&self.storage[at + from * PANEL..at + to * PANEL]).0
+            });
+            for (t, factor) in factors.chunks_exact(PANEL).enumerate() {
+                let here: [&[S::f64s; V]; R] =
+                    std::array::from_fn(|r| (&rows[r][t * V..t * V + V]).try_into().unwrap());
+                for (k, sum) in sums.iter_mut().enumerate() {
+                    let f = simd.splat_f64s(factor[c + k]);
+                    for r in 0..R {
+                        for v in 0..V {
+                            sum[r][v] = simd.mul_add_f64s(here[r][v], f, sum[r][v]);
+                        }
+                    }
+                }
+            }
+            for (k, sum) in sums.iter().enumerate().take(width - c) {
+                for (r, sum) in sum.iter().enumerate() {
+                    let at = (row + r) * stride + (self.shape.terms + column * PANEL + c + k) * PANEL;
+                    let (target, _) = S::as_mut_simd_f64s(&mut self.storage[at..at + PANEL]);
+                    for (t, &s) in target.iter_mut().zip(sum) {
+                        *t = simd.sub_f64s(*t, s);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Factorises the diagonal block of a panel, and carries the border rows that share the panel along.
+    #[inline(always)]
+    fn pivots(&mut self, column: usize) -> f64 {
+        let first = column * PANEL;
+        let width = PANEL.min(self.shape.order - first);
+        let at = column * self.shape.stride() + (self.shape.terms + first) * PANEL;
+        let block = &mut self.storage[at..at + width * PANEL];
+        let mut smallest = f64::INFINITY;
+        for k in 0..width {
+            let (done, rest) = block.split_at_mut((k + 1) * PANEL);
+            let pivot: &mut [f64; PANEL] = (&mut done[k * PANEL..]).try_into().unwrap();
+            let value = pivot[k];
+            if value.is_nan() || value <= 0.0 {
+                return 0.0;
+            }
+            smallest = smallest.min(value);
+            let inverse = value.sqrt().recip();
+            self.inverse_pivots[first + k] = inverse;
+            pivot.iter_mut().for_each(|x| *x *= inverse);
+            for (j, other) in rest.chunks_exact_mut(PANEL).enumerate() {
+                let factor = pivot[k + 1 + j];
+                for (o, p) in other.iter_mut().zip(&*pivot) {
+                    *o -= p * factor;
+                }
+            }
+        }
+        smallest
+    }
+
+    /// Finishes the columns of panel `column` in the panel `row` below it.
+    #[inline(always)]
+    fn solve<S: Simd, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
+        let first = column * PANEL;
+        let width = PANEL.min(self.shape.order - first);
+        let stride = self.shape.stride();
+        let offset = (self.shape.terms + first) * PANEL;
+        let (above, below) = self.storage.split_at_mut(row * stride);
+        let diagonal = &above[column * stride + offset..column * stride + offset + width * PANEL];
+        let (block, _) = S::as_mut_simd_f64s(&mut below[offset..offset + width * PANEL]);
+        for k in 0..width {
+            let (done, rest) = block.split_at_mut((k + 1) * V);
+            let current = &mut done[k * V..];
+            let inverse = simd.splat_f64s(self.inverse_pivots[first + k]);
+            for x in current.iter_mut() {
+                *x = simd.mul_f64s(*x, inverse);
+            }
+            for (j, other) in rest.chunks_exact_mut(V).enumerate() {
+                let factor = simd.splat_f64s(-diagonal[k * PANEL + k + 1 + j]);
+                for (o, &x) in other.iter_mut().zip(&*current) {
+                    *o = simd.mul_add_f64s(x, factor, *o);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pseudo-random numbers in -1..1, small enough in all that `I - X X^T` stays positive definite.
+    fn noise(count: usize, seed: u64, size: f64) -> Vec<f64> {
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut next = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 53) as f64 * 2.0 - 1.0
+        };
+        (0..count).map(|_| next() * size).collect()
+    }
+
+    /// `L L^T z = right` holds for the matrix that the terms define, at sizes on each side of every panel.
+    #[test]
+    fn solves_what_it_factors() {
+        let mut system = Bordered::default();
+        for order in [1, 2, 7, 8, 9, 16, 31, 63, 64, 65, 130, 200] {
+            for terms in [0, 1, 5, 40] {
+                let size = 0.7 / ((order * terms.max(1)) as f64).sqrt();
+                let x = noise(order * terms, (order * 1000 + terms) as u64, size);
+                let right = noise(order, 7, 1.0);
+                system.start(order, 1, terms);
+                system.set_terms(|t| &x[t * order..(t + 1) * order], |_| &[]);
+                for j in 0..order {
+                    *system.entry(order, j) = right[j];
+                }
+                let smallest = system.factor();
+                assert!(smallest > 0.0 && smallest <= 1.0);
+                let z = system.back_solve(0, 0).to_vec();
+                for i in 0..order {
+                    let dot = |t: usize| (0..order).map(|j| x[t * order + j] * z[j]).sum::<f64>();
+                    let product = z[i] - (0..terms).map(|t| x[t * order + i] * dot(t)).sum::<f64>();
+                    assert!((product - right[i]).abs() < 1e-12, "order {order} terms {terms} row {i}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn terms_by_row_and_by_column_agree() {
+        let (order, terms) = (13, 6);
+        let x = noise(order * terms, 3, 0.1);
+        let mut systems = [Bordered::default(), Bordered::default()];
+        systems.iter_mut().for_each(|s| s.start(order, 2, terms));
+        let columns: Vec<f64> = (0..order * terms).map(|k| x[k % order * terms + k / order]).collect();
+        systems[0].set_terms(|t| &columns[t * order..(t + 1) * order], |_| &[]);
+        for i in 0..order {
+            systems[1].set_row(i, &x[i * terms..(i + 1) * terms]);
+        }
+        systems[1].clear_rows(order);
+        let pivots = systems.each_mut().map(Bordered::factor);
+        assert_eq!(pivots[0].to_bits(), pivots[1].to_bits());
+    }
+
+    #[test]
+    fn a_lost_direction_is_a_pivot_of_zero() {
+        let mut system = Bordered::default();
+        for order in [1, 4, 20] {
+            system.start(order, 1, 1);
+            let mut unit = vec![0.0; order];
+            unit[order - 1] = 1.0;
+            system.set_terms(|_| &unit, |_| &[0.5]);
+            assert_eq!(system.factor(), 0.0);
+        }
+    }
+}

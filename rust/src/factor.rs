@@ -1,0 +1,436 @@
+//! The design's orthonormal basis, and what one fit tells: rank, coefficients, residuals, leverage.
+//!
+//! Tall designs are cut into blocks of rows. Each block is factored on its own, the triangles are stacked and
+//! factored once more, and the basis is multiplied out block by block: Householder reflections throughout, so
+//! badly scaled columns lose nothing, and memory is that of one basis. The blocks depend on the shape alone,
+//! never on the number of threads.
+
+use crate::error::Error;
+use crate::linalg::{self, QrScratch, dot};
+use crate::pool::Pool;
+
+/// A weighted, penalised least-squares problem: `min ||W^1/2 (b - A x)||^2 + ||Z x||^2`. Matrices are row-major.
+pub struct Problem<'a> {
+    /// A, `rows` x `columns`.
+    pub design: &'a [f64],
+    /// b, `rows` x `responses`.
+    pub responses: &'a [f64],
+    /// Square roots of the rows' weights, if they have any.
+    pub root_weights: Option<&'a [f64]>,
+    /// Z, any number of rows that are never held out.
+    pub penalty: &'a [f64],
+    /// Number of rows of A.
+    pub rows: usize,
+    /// Number of columns of A.
+    pub columns: usize,
+}
+
+/// A fitted problem, ready for any held-out set.
+pub struct Factor {
+    /// Rows of the design.
+    pub rows: usize,
+    /// Columns of the design.
+    pub columns: usize,
+    /// Columns of the responses.
+    pub responses: usize,
+    /// Rank of the design with its penalty rows.
+    pub rank: usize,
+    /// Q, row-major, `rank` wide: an orthonormal basis of the weighted design's columns, penalty rows last.
+    pub basis: Vec<f64>,
+    /// `Q^T A` with A's columns at unit length: rank x columns, column-major. Tells rank from rounding.
+    pub(crate) triangle: Vec<f64>,
+    /// x, columns x responses, column-major.
+    pub coefficients: Vec<f64>,
+    /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
+    pub(crate) residuals: Vec<f64>,
+    /// Diagonal of the hat matrix.
+    pub leverage: Vec<f64>,
+    /// Square roots of the weights.
+    pub(crate) root_weights: Option<Vec<f64>>,
+}
+
+impl Factor {
+    /// Factors and fits.
+    pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+        let Problem { rows, columns, .. } = *problem;
+        expect_length(problem.design.len(), rows * columns)?;
+        expect_length(problem.penalty.len() % columns.max(1), 0)?;
+        let responses = problem.responses.len() / rows.max(1);
+        expect_length(problem.responses.len(), rows * responses)?;
+        if let Some(weights) = problem.root_weights {
+            expect_length(weights.len(), rows)?;
+        }
+        let scales = column_scales(problem, pool)?;
+        let leaves = Leaves::factor(problem, &scales, pool)?;
+        let top = Top::new(&leaves)?;
+        let total = leaves.rows;
+        let basis = leaves.basis(&top, pool)?;
+        let mut factor = Self {
+            rows,
+            columns,
+            responses,
+            rank: top.rank,
+            basis,
+            triangle: Vec::new(),
+            coefficients: Vec::new(),
+            residuals: weighted_responses(problem, responses),
+            // The penalty rows' leverage is dropped at the end.
+            leverage: vec![0.0; total],
+            root_weights: problem.root_weights.map(<[f64]>::to_vec),
+        };
+        let projection = factor.project(pool)?;
+        factor.coefficients = top.solve(&projection, responses);
+        for column in factor.coefficients.chunks_exact_mut(columns) {
+            column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
+        }
+        factor.triangle = top.triangle;
+        factor.judge(&projection, pool)?;
+        factor.leverage.truncate(rows);
+        Ok(factor)
+    }
+
+    /// Row `i` of the basis.
+    pub fn basis_row(&self, i: usize) -> &[f64] {
+        &self.basis[i * self.rank..(i + 1) * self.rank]
+    }
+
+    /// Weighted residuals of row `i`.
+    pub(crate) fn residual_row(&self, i: usize) -> &[f64] {
+        &self.residuals[i * self.responses..(i + 1) * self.responses]
+    }
+
+    /// What brings row `i` back from weighted to plain units.
+    pub(crate) fn unweight(&self, i: usize) -> f64 {
+        self.root_weights.as_ref().map_or(1.0, |w| w[i].recip())
+    }
+
+    /// Residuals in the responses' unit, rows x responses, row-major.
+    pub fn plain_residuals(&self) -> Vec<f64> {
+        (0..self.rows)
+            .flat_map(|i| self.residual_row(i).iter().map(move |e| e * self.unweight(i)))
+            .collect()
+    }
+
+    /// `Q^T b`, rank x responses, column-major; `residuals` still holds the responses. Summed block by block, so
+    /// that the order of the sum does not depend on who computes it.
+    fn project(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let (rank, responses) = (self.rank, self.responses);
+        let size = rank * responses;
+        if size == 0 {
+            return Ok(Vec::new());
+        }
+        let total = self.basis.len() / rank;
+        let mut parts = vec![0.0; total.div_ceil(ROWS) * size];
+        let (basis, residuals) = (self.basis.chunks(ROWS * rank), self.residuals.chunks(ROWS * responses));
+        pool.run(
+            parts.chunks_exact_mut(size).zip(basis).zip(residuals),
+            || (),
+            |(), ((part, q), b)| linalg::transposed_product(q, b, rank, responses, part),
+        )?;
+        let mut sum = vec![0.0; size];
+        for part in parts.chunks_exact(size) {
+            sum.iter_mut().zip(part).for_each(|(s, x)| *s += x);
+        }
+        Ok(sum)
+    }
+
+    /// Turns responses into residuals, and fills in the leverage.
+    fn judge(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<(), Error> {
+        let (rank, responses) = (self.rank, self.responses);
+        if rank == 0 || responses == 0 {
+            return Ok(());
+        }
+        let basis = self.basis.chunks(ROWS * rank);
+        let parts = self.residuals.chunks_mut(ROWS * responses).zip(self.leverage.chunks_mut(ROWS)).zip(basis);
+        pool.run(
+            parts,
+            || (),
+            |(), ((residuals, leverage), basis)| {
+                for ((e, h), q) in
+                    residuals.chunks_exact_mut(responses).zip(leverage).zip(basis.chunks_exact(rank))
+                {
+                    *h = dot(q, q);
+                    for (e, c) in e.iter_mut().zip(projection.chunks_exact(rank)) {
+                        *e -= dot(q, c);
+                    }
+                }
+            },
+        )
+    }
+}
+
+pub(crate) fn expect_length(given: usize, expected: usize) -> Result<(), Error> {
+    if given == expected { Ok(()) } else { Err(Error::Length { expected, given }) }
+}
+
+/// Rows of a block, before `block_rows` has its say.
+const ROWS: usize = 2000;
+
+/// A block's triangle is at most a sixteenth of it, so that the stack of triangles stays cheap.
+fn block_rows(columns: usize) -> usize {
+    ROWS.max(16 * columns)
+}
+
+/// Powers of two that bring every column's largest entry near one: overflow is then out of the way, and not a
+/// digit changes.
+fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    let columns = problem.columns;
+    let blocks = problem.design.chunks(ROWS * columns).chain(problem.penalty.chunks(ROWS * columns));
+    let blocks: Vec<&[f64]> = blocks.collect();
+    let mut largest = vec![0.0_f64; blocks.len() * columns];
+    pool.run(
+        blocks.iter().zip(largest.chunks_exact_mut(columns)),
+        || (),
+        |(), (block, largest)| {
+            for row in block.chunks_exact(columns) {
+                largest.iter_mut().zip(row).for_each(|(l, a)| *l = l.max(a.abs()));
+            }
+        },
+    )?;
+    Ok((0..columns)
+        .map(|j| largest.iter().skip(j).step_by(columns).fold(0.0_f64, |a, &b| a.max(b)))
+        .map(|largest| if largest > 0.0 { (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2() } else { 1.0 })
+        .collect())
+}
+
+/// `[W^1/2 b; 0]`.
+fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec<f64> {
+    let mut b = problem.responses.to_vec();
+    b.resize((problem.rows + problem.penalty.len() / problem.columns) * responses, 0.0);
+    if let (Some(weights), true) = (problem.root_weights, responses > 0) {
+        for (row, w) in b.chunks_exact_mut(responses).zip(weights) {
+            row.iter_mut().for_each(|x| *x *= w);
+        }
+    }
+    b
+}
+
+/// Blocks of rows, each with its own QR factorisation; column-major inside a block.
+struct Leaves {
+    storage: Vec<f64>,
+    reflectors: Vec<f64>,
+    rows: usize,
+    columns: usize,
+    block: usize,
+}
+
+impl Leaves {
+    fn factor(problem: &Problem<'_>, scales: &[f64], pool: &Pool<'_>) -> Result<Self, Error> {
+        let columns = problem.columns;
+        let rows = problem.rows + problem.penalty.len() / columns;
+        let block = block_rows(columns).min(rows);
+        let count = rows.div_ceil(block);
+        let size = linalg::reflector_size(block, columns);
+        let mut storage = vec![0.0; rows * columns];
+        let mut reflectors = vec![0.0; count * size];
+        let tasks = storage.chunks_mut(block * columns).zip(reflectors.chunks_exact_mut(size)).enumerate();
+        pool.run(
+            tasks,
+            || QrScratch::new(block, columns),
+            |scratch, (i, (a, h))| {
+                let height = a.len() / columns;
+                load(problem, scales, i * block, a, height);
+                let h = &mut h[..linalg::reflector_size(height, columns)];
+                linalg::qr_in_place(a, height, columns, h, scratch);
+            },
+        )?;
+        Ok(Self { storage, reflectors, rows, columns, block })
+    }
+
+    fn triangle_rows(&self, i: usize) -> usize {
+        self.columns.min(self.block.min(self.rows - i * self.block))
+    }
+
+    fn count(&self) -> usize {
+        self.rows.div_ceil(self.block)
+    }
+
+    /// The blocks' triangles on top of each other, column-major.
+    fn stack(&self) -> (Vec<f64>, usize) {
+        let height: usize = (0..self.count()).map(|i| self.triangle_rows(i)).sum();
+        let mut stack = vec![0.0; height * self.columns];
+        let mut above = 0;
+        for (i, block) in self.storage.chunks(self.block * self.columns).enumerate() {
+            let rows = block.len() / self.columns;
+            for j in 0..self.columns {
+                let kept = self.triangle_rows(i).min(j + 1);
+                let at = j * height + above;
+                stack[at..at + kept].copy_from_slice(&block[j * rows..j * rows + kept]);
+            }
+            above += self.triangle_rows(i);
+        }
+        (stack, height)
+    }
+
+    /// Multiplies the basis out in place, row-major, `top.rank` wide.
+    fn basis(self, top: &Top, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let Self { mut storage, reflectors, rows, columns, block } = self;
+        let rank = top.rank;
+        let size = linalg::reflector_size(block, columns);
+        let tasks = storage.chunks_mut(block * columns).zip(reflectors.chunks_exact(size)).enumerate();
+        pool.run(
+            tasks,
+            || (QrScratch::new(block, columns), vec![0.0; block * columns]),
+            |(scratch, c), (i, (a, h))| {
+                let height = a.len() / columns;
+                let c = &mut c[..height * rank];
+                let kept = columns.min(height);
+                for (target, source) in c.chunks_exact_mut(height).zip(top.basis.chunks_exact(top.height)) {
+                    let start = i * block.min(columns);
+                    target[..kept].copy_from_slice(&source[start..start + kept]);
+                    target[kept..].fill(0.0);
+                }
+                let h = &h[..linalg::reflector_size(height, columns)];
+                linalg::apply_q(a, height, columns, h, c, rank, scratch);
+                for (k, row) in a.chunks_exact_mut(columns).enumerate() {
+                    row.iter_mut().zip(c[k..].iter().step_by(height)).for_each(|(q, &c)| *q = c);
+                }
+            },
+        )?;
+        if rank < columns {
+            for i in 1..rows {
+                storage.copy_within(i * columns..i * columns + rank, i * rank);
+            }
+            storage.truncate(rows * rank);
+        }
+        Ok(storage)
+    }
+}
+
+/// Rows `first..` of `[W^1/2 A; Z]` with scaled columns, column-major.
+fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [f64], height: usize) {
+    let columns = problem.columns;
+    for k in 0..height {
+        let i = first + k;
+        let (row, weight) = if i < problem.rows {
+            (&problem.design[i * columns..(i + 1) * columns], problem.root_weights.map_or(1.0, |w| w[i]))
+        } else {
+            let i = i - problem.rows;
+            (&problem.penalty[i * columns..(i + 1) * columns], 1.0)
+        };
+        for ((j, a), scale) in row.iter().enumerate().zip(scales) {
+            block[j * height + k] = a * scale * weight;
+        }
+    }
+}
+
+/// The stacked triangles, factored: the small end of the factorisation, where rank is decided.
+struct Top {
+    rank: usize,
+    /// Orthonormal columns that the leaves' reflections turn into the basis; height x rank.
+    basis: Vec<f64>,
+    height: usize,
+    triangle: Vec<f64>,
+    inverse: Inverse,
+}
+
+/// How coefficients follow from the projected responses.
+enum Inverse {
+    /// R, columns x columns.
+    Triangle(Vec<f64>),
+    /// Columns scaled to unit length by `scales`; singular values and right vectors of what remains.
+    Svd { scales: Vec<f64>, values: Vec<f64>, vectors: Vec<f64> },
+}
+
+impl Top {
+    fn new(leaves: &Leaves) -> Result<Self, Error> {
+        let columns = leaves.columns;
+        let (mut stack, height) = leaves.stack();
+        let size = height.min(columns);
+        let many = leaves.count() > 1;
+        let mut reflectors = vec![0.0; linalg::reflector_size(height, columns)];
+        let mut scratch = QrScratch::new(height, columns);
+        if many {
+            linalg::qr_in_place(&mut stack, height, columns, &mut reflectors, &mut scratch);
+        }
+        let (r, scales) = unit_triangle(&stack, height, size, columns);
+        let tolerance = leaves.rows.max(columns) as f64 * f64::EPSILON;
+        // 1 / ||R^-1|| is below the smallest singular value and sqrt(columns) above the largest, so most designs
+        // pass without a decomposition.
+        let margin = tolerance * (columns as f64).sqrt() * 2.0;
+        let full = size == columns && linalg::inverse_norm(&r, columns) * margin < 1.0;
+        let (rank, turn, triangle, inverse) = if full {
+            (columns, None, r, Inverse::Triangle(stack_triangle(&stack, height, columns)))
+        } else {
+            let (rank, u, triangle, inverse) = reveal(&r, size, columns, scales, tolerance)?;
+            (rank, Some(u), triangle, inverse)
+        };
+        let mut basis = vec![0.0; height * rank];
+        for (j, column) in basis.chunks_exact_mut(height).enumerate() {
+            match &turn {
+                None => column[j] = 1.0,
+                Some(u) => column[..size].copy_from_slice(&u[j * size..(j + 1) * size]),
+            }
+        }
+        if many {
+            linalg::apply_q(&stack, height, columns, &reflectors, &mut basis, rank, &mut scratch);
+        }
+        Ok(Self { rank, basis, height, triangle, inverse })
+    }
+
+    /// Least-squares coefficients (columns x responses); of least norm, columns at unit length, when rank is lost.
+    fn solve(&self, projection: &[f64], responses: usize) -> Vec<f64> {
+        match &self.inverse {
+            Inverse::Triangle(r) => {
+                let mut x = projection.to_vec();
+                linalg::solve_upper(r, self.rank, self.rank, &mut x, responses);
+                x
+            }
+            Inverse::Svd { scales, values, vectors } => {
+                let mut c = projection.to_vec();
+                c.chunks_exact_mut(self.rank.max(1)).for_each(|c| c.iter_mut().zip(values).for_each(|(c, s)| *c /= s));
+                let mut x = linalg::product(vectors, &c, scales.len(), self.rank, responses);
+                x.chunks_exact_mut(scales.len()).for_each(|x| x.iter_mut().zip(scales).for_each(|(x, s)| *x *= s));
+                x
+            }
+        }
+    }
+}
+
+/// The R of a factored stack with its columns at unit length (size x columns), and the scales that did it.
+fn unit_triangle(stack: &[f64], height: usize, size: usize, columns: usize) -> (Vec<f64>, Vec<f64>) {
+    let mut r = vec![0.0; size * columns];
+    let mut scales = vec![1.0; columns];
+    for (j, column) in r.chunks_exact_mut(size).enumerate() {
+        let kept = size.min(j + 1);
+        column[..kept].copy_from_slice(&stack[j * height..j * height + kept]);
+        let norm = dot(column, column).sqrt();
+        if norm > 0.0 {
+            scales[j] = norm.recip();
+            column.iter_mut().for_each(|x| *x *= scales[j]);
+        }
+    }
+    (r, scales)
+}
+
+fn stack_triangle(stack: &[f64], height: usize, columns: usize) -> Vec<f64> {
+    (0..columns).flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 })).collect()
+}
+
+/// Rank by singular values, as `numpy.linalg.matrix_rank` decides it; the left vectors kept, `S V^T`, and the inverse.
+fn reveal(
+    r: &[f64],
+    size: usize,
+    columns: usize,
+    scales: Vec<f64>,
+    tolerance: f64,
+) -> Result<(usize, Vec<f64>, Vec<f64>, Inverse), Error> {
+    let linalg::Svd { mut u, mut s, mut v } = linalg::thin_svd(r, size, columns)?;
+    let rank = numerical_rank(&s, tolerance);
+    u.truncate(size * rank);
+    s.truncate(rank);
+    v.truncate(columns * rank);
+    let mut triangle = vec![0.0; rank * columns];
+    for (j, column) in triangle.chunks_exact_mut(rank.max(1)).enumerate() {
+        for (i, x) in column.iter_mut().enumerate() {
+            *x = s[i] * v[i * columns + j];
+        }
+    }
+    Ok((rank, u, triangle, Inverse::Svd { scales, values: s, vectors: v }))
+}
+
+/// How many singular values, in decreasing order, stand out of the rounding of the first.
+pub(crate) fn numerical_rank(values: &[f64], tolerance: f64) -> usize {
+    let cut = values.first().map_or(0.0, |s| s * tolerance);
+    values.iter().take_while(|&&s| s > cut).count()
+}

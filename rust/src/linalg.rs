@@ -1,0 +1,258 @@
+//! Dense factorisations on plain slices. The only file that names faer.
+//!
+//! Matrices are column-major here unless a name says otherwise. Everything runs on the calling thread:
+//! parallelism is a matter of many calls, see [`crate::pool`].
+
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::linalg::householder::{
+    apply_block_householder_sequence_on_the_left_in_place_scratch as apply_scratch,
+    apply_block_householder_sequence_on_the_left_in_place_with_conj as apply_reflectors,
+};
+use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::linalg::qr::no_pivoting::factor as qr;
+use faer::linalg::{svd, triangular_inverse, triangular_solve};
+use faer::{Accum, Conj, Mat, MatMut, MatRef, Par};
+
+use crate::error::Error;
+
+/// Sum of products, in eight running sums so that it vectorises.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut lanes = [0.0; 8];
+    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
+    let tail: f64 = a8.remainder().iter().zip(b8.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in a8.zip(b8) {
+        for ((lane, x), y) in lanes.iter_mut().zip(x).zip(y) {
+            *lane += x * y;
+        }
+    }
+    lanes.iter().sum::<f64>() + tail
+}
+
+/// Scratch of the QR routines; one a thread.
+pub struct QrScratch {
+    memory: MemBuffer,
+}
+
+impl QrScratch {
+    /// Enough for matrices of at most this shape.
+    pub fn new(rows: usize, columns: usize) -> Self {
+        let block = block_size(rows, columns);
+        let factor = qr::qr_in_place_scratch::<f64>(rows, columns, block, Par::Seq, Default::default());
+        let apply = apply_scratch::<f64>(rows, block, columns);
+        Self { memory: MemBuffer::new(StackReq::any_of(&[factor, apply])) }
+    }
+}
+
+fn block_size(rows: usize, columns: usize) -> usize {
+    qr::recommended_block_size::<f64>(rows, columns).min(rows.min(columns)).max(1)
+}
+
+/// How many numbers the reflectors of a QR factorisation need beside the factored matrix.
+pub fn reflector_size(rows: usize, columns: usize) -> usize {
+    block_size(rows, columns) * rows.min(columns)
+}
+
+/// Householder QR: R replaces the upper triangle of `a`, the reflectors the rest and `reflectors`.
+pub fn qr_in_place(
+    a: &mut [f64],
+    rows: usize,
+    columns: usize,
+    reflectors: &mut [f64],
+    scratch: &mut QrScratch,
+) {
+    let block = block_size(rows, columns);
+    qr::qr_in_place(
+        MatMut::from_column_major_slice_mut(a, rows, columns),
+        MatMut::from_column_major_slice_mut(reflectors, block, rows.min(columns)),
+        Par::Seq,
+        MemStack::new(&mut scratch.memory),
+        Default::default(),
+    );
+}
+
+/// `c <- Q c` for the Q of [`qr_in_place`], `c` of `rows` x `width`, width at most `columns`.
+pub fn apply_q(
+    a: &[f64],
+    rows: usize,
+    columns: usize,
+    reflectors: &[f64],
+    c: &mut [f64],
+    width: usize,
+    scratch: &mut QrScratch,
+) {
+    let block = block_size(rows, columns);
+    apply_reflectors(
+        MatRef::from_column_major_slice(a, rows, columns).subcols(0, rows.min(columns)),
+        MatRef::from_column_major_slice(reflectors, block, rows.min(columns)),
+        Conj::No,
+        MatMut::from_column_major_slice_mut(c, rows, width),
+        Par::Seq,
+        MemStack::new(&mut scratch.memory),
+    );
+}
+
+/// Singular value decomposition `U diag(s) V^T`, the values in decreasing order.
+pub struct Svd {
+    /// rows x min(rows, columns).
+    pub u: Vec<f64>,
+    /// min(rows, columns).
+    pub s: Vec<f64>,
+    /// columns x min(rows, columns).
+    pub v: Vec<f64>,
+}
+
+/// The thin singular value decomposition of a `rows` x `columns` matrix.
+pub fn thin_svd(a: &[f64], rows: usize, columns: usize) -> Result<Svd, Error> {
+    let size = rows.min(columns);
+    let (mut u, mut s, mut v) = (Mat::zeros(rows, size), faer::Col::zeros(size), Mat::zeros(columns, size));
+    let thin = svd::ComputeSvdVectors::Thin;
+    let request = svd::svd_scratch::<f64>(rows, columns, thin, thin, Par::Seq, Default::default());
+    svd::svd(
+        MatRef::from_column_major_slice(a, rows, columns),
+        s.as_diagonal_mut(),
+        Some(u.as_mut()),
+        Some(v.as_mut()),
+        Par::Seq,
+        MemStack::new(&mut MemBuffer::new(request)),
+        Default::default(),
+    )
+    .map_err(|_| Error::NoConvergence)?;
+    Ok(Svd { u: columns_of(u.as_ref()), s: s.iter().copied().collect(), v: columns_of(v.as_ref()) })
+}
+
+fn columns_of(a: MatRef<'_, f64>) -> Vec<f64> {
+    a.col_iter().flat_map(|column| column.iter().copied().collect::<Vec<_>>()).collect()
+}
+
+/// The Frobenius norm of the inverse of an upper triangular matrix; infinite for a zero on the diagonal.
+pub fn inverse_norm(r: &[f64], order: usize) -> f64 {
+    if (0..order).any(|j| r[j * order + j] == 0.0) {
+        return f64::INFINITY;
+    }
+    let mut inverse = Mat::zeros(order, order);
+    let r = MatRef::from_column_major_slice(r, order, order);
+    triangular_inverse::invert_upper_triangular(inverse.as_mut(), r, Par::Seq);
+    inverse.norm_l2()
+}
+
+/// `x <- R^-1 x`, with R the upper triangle of the leading block of a matrix of `stride` rows, and x (order x width).
+pub fn solve_upper(r: &[f64], stride: usize, order: usize, x: &mut [f64], width: usize) {
+    triangular_solve::solve_upper_triangular_in_place(
+        MatRef::from_column_major_slice(&r[..stride * order], stride, order).subrows(0, order),
+        MatMut::from_column_major_slice_mut(x, order, width),
+        Par::Seq,
+    );
+}
+
+/// `a b` for a (rows x inner) and b (inner x columns).
+pub fn product(a: &[f64], b: &[f64], rows: usize, inner: usize, columns: usize) -> Vec<f64> {
+    let mut c = vec![0.0; rows * columns];
+    matmul(
+        MatMut::from_column_major_slice_mut(&mut c, rows, columns),
+        Accum::Replace,
+        MatRef::from_column_major_slice(a, rows, inner),
+        MatRef::from_column_major_slice(b, inner, columns),
+        1.0,
+        Par::Seq,
+    );
+    c
+}
+
+/// `out <- a^T b`, with a (rows x columns) and b (rows x width) row-major, out (columns x width) column-major.
+pub fn transposed_product(a: &[f64], b: &[f64], columns: usize, width: usize, out: &mut [f64]) {
+    let rows = a.len() / columns.max(1);
+    matmul(
+        MatMut::from_column_major_slice_mut(out, columns, width),
+        Accum::Replace,
+        MatRef::from_column_major_slice(a, columns, rows),
+        MatRef::from_column_major_slice(b, width, rows).transpose(),
+        1.0,
+        Par::Seq,
+    );
+}
+
+/// The lower triangle of `a a^T` for the rows `first..` of a row-major matrix of `columns` columns, against all rows
+/// up to their own: row i of the result is written to `out[i - first]`, `rows` numbers apart.
+pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], rows: usize) {
+    let count = out.len() / rows;
+    let here = MatRef::from_row_major_slice(&a[first * columns..(first + count) * columns], count, columns);
+    let (left, diagonal) = MatMut::from_row_major_slice_mut(out, count, rows).split_at_col_mut(first);
+    let before = MatRef::from_row_major_slice(&a[..first * columns], first, columns);
+    matmul(left, Accum::Replace, here, before.transpose(), 1.0, Par::Seq);
+    triangular::matmul(
+        diagonal.subcols_mut(0, count),
+        BlockStructure::TriangularLower,
+        Accum::Replace,
+        here,
+        BlockStructure::Rectangular,
+        here.transpose(),
+        BlockStructure::Rectangular,
+        1.0,
+        Par::Seq,
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: &[f64], b: &[f64]) -> bool {
+        a.len() == b.len() && a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-13)
+    }
+
+    fn matrix(rows: usize, columns: usize) -> Vec<f64> {
+        (0..rows * columns).map(|i| ((i * 7919 + i * i % 977) % 1000) as f64 / 500.0 - 1.0).collect()
+    }
+
+    #[test]
+    fn q_times_r_is_the_matrix() {
+        for (rows, columns) in [(1, 1), (5, 3), (3, 5), (40, 33), (300, 130)] {
+            let a = matrix(rows, columns);
+            let size = rows.min(columns);
+            let (mut f, mut h) = (a.clone(), vec![0.0; reflector_size(rows, columns)]);
+            let mut scratch = QrScratch::new(rows, columns);
+            qr_in_place(&mut f, rows, columns, &mut h, &mut scratch);
+            let mut r = vec![0.0; rows * columns];
+            for j in 0..columns {
+                for i in 0..size.min(j + 1) {
+                    r[j * rows + i] = f[j * rows + i];
+                }
+            }
+            apply_q(&f, rows, columns, &h, &mut r, columns, &mut scratch);
+            assert!(close(&r, &a), "{rows} x {columns}");
+        }
+    }
+
+    #[test]
+    fn singular_values_rebuild_the_matrix() {
+        for (rows, columns) in [(4, 4), (7, 3), (3, 7)] {
+            let a = matrix(rows, columns);
+            let Svd { u, s, v } = thin_svd(&a, rows, columns).unwrap();
+            let k = s.len();
+            let mut scaled = vec![0.0; k * columns];
+            for j in 0..columns {
+                for i in 0..k {
+                    scaled[j * k + i] = s[i] * v[i * columns + j];
+                }
+            }
+            assert!(close(&product(&u, &scaled, rows, k, columns), &a));
+        }
+    }
+
+    #[test]
+    fn gram_rows_are_inner_products() {
+        let (rows, columns) = (9, 4);
+        let a = matrix(rows, columns);
+        for first in [0, 2, 6] {
+            let mut out = vec![0.0; (rows - first) * rows];
+            gram_rows(&a, columns, first, &mut out, rows);
+            for i in first..rows {
+                for j in 0..=i {
+                    let exact = dot(&a[i * columns..(i + 1) * columns], &a[j * columns..(j + 1) * columns]);
+                    assert!((out[(i - first) * rows + j] - exact).abs() < 1e-14);
+                }
+            }
+        }
+    }
+}

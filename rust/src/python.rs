@@ -1,0 +1,273 @@
+//! The boundary to Python. The only file that names PyO3: arrays in, arrays out, the interpreter released in between.
+//!
+//! Checks that deserve a sentence are made in Python; what is checked here keeps memory safe, no more.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::error::Error;
+use crate::factor::Problem;
+use crate::holdout::{Pairs, Status};
+use crate::pool::Pool;
+use crate::scheme::Sets;
+use crate::{delaunay, neighbours, placement};
+
+type Array1<'py, T> = Bound<'py, PyArray1<T>>;
+type Array2<'py, T> = Bound<'py, PyArray2<T>>;
+type Arrays<'py> = (Array1<'py, i64>, Array1<'py, i64>);
+
+impl From<Error> for PyErr {
+    fn from(error: Error) -> Self {
+        PyValueError::new_err(error.to_string())
+    }
+}
+
+/// Multiply-adds that pass before anybody presses Ctrl-C: shorter work is done at once, on this thread.
+const SHORT: f64 = 2e8;
+
+/// Does the work with the interpreter released. Signals reach the main thread alone, so long work goes to another one
+/// while this one looks for them.
+fn interruptible<T: Send>(
+    py: Python<'_>,
+    cost: f64,
+    threads: usize,
+    work: impl FnOnce(&Pool<'_>) -> Result<T, Error> + Send,
+) -> PyResult<T> {
+    let cancel = AtomicBool::new(false);
+    let pool = Pool::new(threads, &cancel);
+    if cost < SHORT {
+        return Ok(py.detach(|| work(&pool))?);
+    }
+    let mut signal = Ok(());
+    let watch = |signal: &mut PyResult<()>| {
+        let (done, finished) = channel::<()>();
+        std::thread::scope(|scope| {
+            let worker = scope.spawn(|| {
+                // Dropped when the work ends, however it ends.
+                let _done = done;
+                work(&pool)
+            });
+            while finished.recv_timeout(Duration::from_millis(50)) == Err(RecvTimeoutError::Timeout) {
+                if signal.is_ok() {
+                    *signal = Python::attach(|py| py.check_signals());
+                    cancel.store(signal.is_err(), Ordering::Relaxed);
+                }
+            }
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })
+    };
+    let result = py.detach(|| watch(&mut signal));
+    signal?;
+    Ok(result?)
+}
+
+fn slice<'a, T: numpy::Element>(array: &'a PyReadonlyArray1<'_, T>) -> PyResult<&'a [T]> {
+    array.as_slice().map_err(|_| PyValueError::new_err("array is not contiguous"))
+}
+
+fn matrix<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>) -> PyResult<&'a [T]> {
+    if array.is_c_contiguous() { array.as_slice().ok() } else { None }
+        .ok_or_else(|| PyValueError::new_err("array is not contiguous"))
+}
+
+fn sets(offsets: &PyReadonlyArray1<'_, i64>, items: &PyReadonlyArray1<'_, i64>) -> PyResult<Sets> {
+    let index = |&i: &i64| usize::try_from(i).map_err(|_| PyValueError::new_err("negative index"));
+    let offsets: Vec<usize> = slice(offsets)?.iter().map(index).collect::<PyResult<_>>()?;
+    let items: Vec<usize> = slice(items)?.iter().map(index).collect::<PyResult<_>>()?;
+    let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
+    if whole && offsets.is_sorted() {
+        Ok(Sets { offsets, items })
+    } else {
+        Err(PyValueError::new_err("offsets do not cut the items into sets"))
+    }
+}
+
+fn indices<'py>(py: Python<'py>, values: &[usize]) -> Array1<'py, i64> {
+    PyArray1::from_iter(py, values.iter().map(|&i| i as i64))
+}
+
+fn arrays<'py>(py: Python<'py>, sets: &Sets) -> Arrays<'py> {
+    (indices(py, &sets.offsets), indices(py, &sets.items))
+}
+
+fn table<'py>(py: Python<'py>, values: Vec<f64>, rows: usize, columns: usize) -> PyResult<Array2<'py, f64>> {
+    PyArray1::from_vec(py, values).reshape([rows, columns])
+}
+
+/// A fitted least-squares problem.
+#[pyclass(frozen, module = "mexpress._core")]
+struct Factor(crate::factor::Factor);
+
+#[pymethods]
+impl Factor {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        design: PyReadonlyArray2<'_, f64>,
+        responses: PyReadonlyArray2<'_, f64>,
+        root_weights: Option<PyReadonlyArray1<'_, f64>>,
+        penalty: PyReadonlyArray2<'_, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let (rows, columns) = (design.shape()[0], design.shape()[1]);
+        let problem = Problem {
+            design: matrix(&design)?,
+            responses: matrix(&responses)?,
+            root_weights: root_weights.as_ref().map(slice).transpose()?,
+            penalty: matrix(&penalty)?,
+            rows,
+            columns,
+        };
+        let cost = 2.0 * (rows * columns * columns) as f64;
+        interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool)).map(Self)
+    }
+
+    #[getter]
+    fn rank(&self) -> usize {
+        self.0.rank
+    }
+
+    #[getter]
+    fn coefficients<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
+        let transposed = table(py, self.0.coefficients.clone(), self.0.responses, self.0.columns)?;
+        transposed.transpose()
+    }
+
+    #[getter]
+    fn residuals<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
+        table(py, self.0.plain_residuals(), self.0.rows, self.0.responses)
+    }
+
+    #[getter]
+    fn leverage<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
+        PyArray1::from_slice(py, &self.0.leverage)
+    }
+
+    /// (residuals, rows, offsets, undefined) of the pairs.
+    #[expect(clippy::type_complexity)]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        held: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
+        validated: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
+        rows: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
+        threads: usize,
+    ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let p = self.0.rank as f64;
+        let q = held.items.len() as f64 * self.0.rows as f64 / rows.len().max(1) as f64;
+        let cost = q * p * p / 2.0 + held.len() as f64 * p * p * p / 6.0;
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
+        let found = interruptible(py, cost, threads, |pool| self.0.predict(&pairs, pool))?;
+        let lost = found.status.iter().enumerate().filter(|(_, s)| **s == Status::Undefined).map(|(i, _)| i);
+        let count = found.rows.len();
+        Ok((
+            table(py, found.residuals, count, self.0.responses)?,
+            indices(py, &found.rows),
+            indices(py, &found.offsets),
+            indices(py, &lost.collect::<Vec<_>>()),
+        ))
+    }
+
+    /// The blocks of the hat matrix for sets of rows, flattened one after another.
+    fn hat_blocks<'py>(
+        &self,
+        py: Python<'py>,
+        rows: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let rows = sets(&rows.0, &rows.1)?;
+        let squares: f64 = (0..rows.len()).map(|s| (rows.get(s).len() as f64).powi(2)).sum();
+        let cost = squares * self.0.rank as f64;
+        let blocks = interruptible(py, cost, threads, |pool| self.0.hat_blocks(&rows, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
+    }
+}
+
+/// Row and column of the first entry that is NaN or infinite.
+#[pyfunction]
+fn find_not_finite(py: Python<'_>, values: PyReadonlyArray2<'_, f64>) -> PyResult<Option<(usize, usize)>> {
+    let columns = values.shape()[1];
+    let values = matrix(&values)?;
+    // Blocks without an early exit vectorise: one pass at the speed of memory.
+    let first = py.detach(|| {
+        values.chunks(4096).enumerate().find_map(|(b, block)| {
+            let finite = block.iter().fold(true, |finite, x| finite & x.is_finite());
+            if finite { None } else { block.iter().position(|x| !x.is_finite()).map(|i| b * 4096 + i) }
+        })
+    });
+    Ok(first.map(|i| (i / columns, i % columns)))
+}
+
+/// Neighbourhoods of points within a radius, as (offsets, items).
+#[pyfunction]
+fn neighbours_within<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    radius: f64,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        neighbours::within(points, dimension, radius, pool)
+    })?;
+    Ok(arrays(py, &found))
+}
+
+/// The k nearest of each point, itself counted, as (offsets, items).
+#[pyfunction]
+fn neighbours_nearest<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    k: usize,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let found =
+        interruptible(py, f64::INFINITY, threads, |pool| neighbours::nearest(points, dimension, k, pool))?;
+    Ok(arrays(py, &found))
+}
+
+/// Each point with its neighbours in the Delaunay triangulation, as (offsets, items).
+#[pyfunction]
+fn neighbours_delaunay<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Arrays<'py>> {
+    let points = matrix(&points)?;
+    let found = interruptible(py, f64::INFINITY, 1, |_| delaunay::delaunay(points))?;
+    Ok(arrays(py, &found))
+}
+
+/// Lloyd's algorithm over samples of a region.
+#[pyfunction]
+fn lloyd<'py>(
+    py: Python<'py>,
+    samples: PyReadonlyArray2<'py, f64>,
+    start: PyReadonlyArray2<'py, f64>,
+    max_steps: usize,
+    tolerance: f64,
+    threads: usize,
+) -> PyResult<Array2<'py, f64>> {
+    let count = start.shape()[0];
+    let cost = (samples.shape()[0] * count * max_steps) as f64;
+    let (samples, start) = (matrix(&samples)?, matrix(&start)?);
+    let centres = interruptible(py, cost, threads, |pool| {
+        placement::lloyd(samples, start, max_steps, tolerance, pool)
+    })?;
+    table(py, centres, count, 2)
+}
+
+/// The Rust core of mexpress.
+#[pymodule(gil_used = false)]
+mod _core {
+    #[pymodule_export]
+    use super::{
+        Factor, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest, neighbours_within,
+    };
+}

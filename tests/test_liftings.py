@@ -1,0 +1,239 @@
+import pickle
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mexpress.liftings import LIFTINGS, ThinPlateSpline, evaluate, make_lifting, slopes
+
+
+def scattered(count, seed=0, size=1000.0):
+    """Points of a jittered grid: spread, and never near a line."""
+    side = int(np.ceil(np.sqrt(count)))
+    random = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(*2 * [np.arange(side)]), axis=-1).reshape(-1, 2)
+    return size / side * (random.permutation(grid)[:count] + random.uniform(0.2, 0.8, (count, 2)))
+
+
+def kernel(a, b):
+    r = np.linalg.norm(a[:, None] - b, axis=2)
+    return r**2 * np.log(np.where(r > 0, r, 1))
+
+
+def bordered(centres, values):
+    """Weights and affine part from the textbook system [[K, P], [P^T, 0]]."""
+    affine = np.column_stack([np.ones(len(centres)), centres])
+    system = np.block([[kernel(centres, centres), affine], [affine.T, np.zeros((3, 3))]])
+    solution = np.linalg.solve(system, np.concatenate([values, np.zeros(3)]))
+    return solution[:-3], solution[-3:]
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 9, 30])
+def test_the_functions_are_those_of_the_bordered_system(count):
+    centres, queries = scattered(count, size=3.0), scattered(40, seed=1, size=3.0)
+    values = np.random.default_rng(2).normal(size=count)
+    weights, affine = bordered(centres, values)
+    expected = kernel(queries, centres) @ weights + affine[0] + queries @ affine[1:]
+    np.testing.assert_allclose(ThinPlateSpline(centres).basis(queries) @ values, expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("count", [3, 4, 17, 100])
+def test_parameters_are_values_at_the_control_points(count):
+    centres = scattered(count)
+    np.testing.assert_allclose(ThinPlateSpline(centres).basis(centres), np.eye(count), atol=1e-11)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_affine_functions_are_reproduced_also_far_from_the_origin(offset):
+    centres, queries = offset + scattered(40), offset + scattered(500, seed=1, size=1500.0)
+
+    def plane(q):
+        return 3 + (q - offset) @ [0.5, -2.0]
+
+    np.testing.assert_allclose(
+        ThinPlateSpline(centres).basis(queries) @ plane(centres), plane(queries), atol=1e-7
+    )
+    np.testing.assert_allclose(ThinPlateSpline(centres).basis(queries).sum(axis=1), 1, atol=1e-11)
+
+
+@given(
+    st.floats(1e-3, 1e3), st.floats(-np.pi, np.pi), st.floats(-1e4, 1e4), st.booleans(), st.integers(3, 25)
+)
+def test_a_similarity_of_the_points_changes_nothing(scale, angle, shift, mirrored, count):
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    similarity = scale * rotation @ np.diag([1, -1 if mirrored else 1])
+    centres, queries = scattered(count, size=1.0), scattered(30, seed=1, size=1.0)
+    expected = ThinPlateSpline(centres).basis(queries)
+    moved = ThinPlateSpline(centres @ similarity.T + scale * shift).basis(
+        queries @ similarity.T + scale * shift
+    )
+    np.testing.assert_allclose(moved, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("count", [3, 8, 25])
+def test_derivatives_are_the_limits_of_differences(count):
+    spline, queries, step = ThinPlateSpline(scattered(count)), scattered(50, seed=1, size=1200.0), 1e-2
+    for b, shift in enumerate(step * np.eye(2)):
+        difference = (spline.basis(queries + shift) - spline.basis(queries - shift)) / (2 * step)
+        np.testing.assert_allclose(spline.derivatives(queries)[:, :, b], difference, atol=1e-8)
+
+
+def test_derivatives_are_continuous_at_the_control_points():
+    spline = ThinPlateSpline(scattered(9))
+    beside = spline.derivatives(spline.control_points + 1e-7)
+    np.testing.assert_allclose(spline.derivatives(spline.control_points), beside, atol=1e-10)
+
+
+@pytest.mark.parametrize("count", [3, 4, 12, 40])
+def test_bending_energy_is_that_of_the_kernel(count):
+    centres, values = scattered(count, size=7.0), np.random.default_rng(3).normal(size=count)
+    rows = ThinPlateSpline(centres).bending()
+    weights, _ = bordered(centres, values)
+    assert rows.shape == (count - 3, count)
+    np.testing.assert_allclose(
+        np.sum((rows @ values) ** 2), weights @ kernel(centres, centres) @ weights, atol=1e-9
+    )
+
+
+def test_bending_energy_belongs_to_the_function_not_to_its_control_points():
+    few, many = scattered(6), np.vstack([scattered(6), scattered(20, seed=5) + 7])
+    values = np.random.default_rng(3).normal(size=6)
+    same = ThinPlateSpline(few).basis(many) @ values
+    expected = np.sum((ThinPlateSpline(few).bending() @ values) ** 2)
+    np.testing.assert_allclose(np.sum((ThinPlateSpline(many).bending() @ same) ** 2), expected, rtol=1e-8)
+
+
+def test_eight_pi_times_the_bending_energy_is_the_integral_of_squared_second_derivatives():
+    spline, step = ThinPlateSpline([[0, 0], [1, 0], [0, 1], [1, 1]]), 0.05
+    axis = np.arange(-25, 26, step)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    slope = slopes(spline, grid.reshape(-1, 2), np.array([[0.0], [0], [0], [1]])).reshape(*grid.shape[:2], 2)
+    second = [np.diff(slope, axis=a)[: len(axis) - 1, : len(axis) - 1] / step for a in (0, 1)]
+    integral = sum(np.sum(s**2) for s in second) * step**2
+    energy = np.sum((spline.bending() @ [0, 0, 0, 1]) ** 2)
+    np.testing.assert_allclose(integral, 8 * np.pi * energy, rtol=0.02)
+
+
+def test_values_and_slopes_are_the_basis_times_the_parameters_at_every_block():
+    spline, points = ThinPlateSpline(scattered(60)), scattered(5000, seed=1)
+    parameters = np.random.default_rng(0).normal(size=(60, 3))
+    np.testing.assert_allclose(
+        evaluate(spline, points, parameters), spline.basis(points) @ parameters, atol=1e-11
+    )
+    expected = np.einsum("nlb,lr->nrb", spline.derivatives(points), parameters)
+    np.testing.assert_allclose(slopes(spline, points, parameters), expected, atol=1e-12)
+
+
+def test_many_points_take_little_memory():
+    spline, points = ThinPlateSpline(scattered(100)), scattered(100_000, seed=1)
+    tracemalloc.start()
+    evaluate(spline, points, np.ones((100, 3)))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6  # n x l would be 80 MB
+
+
+@pytest.mark.parametrize("near", [0.0, 1e-6])
+def test_coincident_control_points_are_an_error_that_names_them(near):
+    with pytest.raises(ValueError, match=r"Invalid control_points.* at 1 and .* at 4"):
+        ThinPlateSpline([[0, 0], [1, 0], [0, 1], [1, 1], [1 + near, 0]])
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-9])
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_control_points_on_a_line_are_an_error_at_any_scale(tilt, scale):
+    x = np.arange(5.0)
+    with pytest.raises(ValueError, match=r"Invalid control_points\. They must not lie on a line"):
+        ThinPlateSpline(scale * np.column_stack([x, 3 * x + tilt * x**2]))
+
+
+def test_a_thin_strip_is_no_line():
+    centres = scattered(9) * [1, 1e-4]
+    np.testing.assert_allclose(ThinPlateSpline(centres).basis(centres), np.eye(9), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "control_points",
+    [
+        [],
+        [[0, 0]],
+        [[0, 0], [1, 0]],
+        [[0, 0]] * 3,
+        [[0, 0], [1, 0], [0, np.nan]],
+        [[0, 0], [1, 0], [0, np.inf]],
+        np.ones((3, 3)),
+        np.ones(6),
+        [["a", "b"]] * 3,
+        "points",
+        None,
+        [[0, 0], [1, 0], [0]],
+    ],
+)
+def test_control_points_that_are_none_are_refused(control_points):
+    with pytest.raises((ValueError, TypeError), match=r"Invalid control_points\. .* Given "):
+        ThinPlateSpline(control_points)
+
+
+@pytest.mark.parametrize("method", ["basis", "derivatives"])
+@pytest.mark.parametrize("points", [[[0, np.nan]], [[np.inf, 0]], [0, 1], [[0, 1, 2]], [["a", "b"]], None])
+def test_points_that_are_none_are_refused(method, points):
+    with pytest.raises((ValueError, TypeError), match=r"Invalid points\. .* Given "):
+        getattr(ThinPlateSpline(scattered(5)), method)(points)
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_absurdly_far_away_raise_no_warning():
+    assert not np.isfinite(ThinPlateSpline(scattered(5)).basis([[1e300, 0.0]])).all()
+
+
+def test_every_layout_of_the_same_numbers_gives_the_same():
+    centres, points = scattered(6).round(), scattered(10, seed=1).round()
+    read_only = points.copy()
+    read_only.flags.writeable = False
+    expected = ThinPlateSpline(centres).basis(points)
+    for same in (
+        points.tolist(),
+        points.astype(np.float32),
+        np.asfortranarray(points),
+        read_only,
+        points.astype(int),
+    ):
+        np.testing.assert_array_equal(ThinPlateSpline(centres.astype(np.float32)).basis(same), expected)
+    wide = np.empty((10, 4))
+    wide[:, ::2] = points
+    np.testing.assert_array_equal(ThinPlateSpline(centres.tolist()).basis(wide[:, ::2]), expected)
+
+
+def test_a_lifting_does_not_change_with_the_array_it_was_made_from():
+    centres = scattered(5)
+    spline = ThinPlateSpline(centres)
+    centres[:] = 0
+    np.testing.assert_array_equal(spline.control_points, scattered(5))
+    with pytest.raises(ValueError, match="read-only"):
+        spline.control_points[0, 0] = 1
+
+
+def test_a_pickled_lifting_is_the_same():
+    spline, points = ThinPlateSpline(scattered(7)), scattered(9, seed=1)
+    copy = pickle.loads(pickle.dumps(spline))
+    np.testing.assert_array_equal(copy.basis(points), spline.basis(points))
+
+
+def test_no_points_give_no_rows():
+    spline, none = ThinPlateSpline(scattered(5)), np.empty((0, 2))
+    assert evaluate(spline, none, np.ones((5, 3))).shape == (0, 3)
+    assert slopes(spline, none, np.ones((5, 3))).shape == (0, 3, 2)
+
+
+@pytest.mark.parametrize("name", ["spline", "", None, 3, ["tps"]])
+def test_unknown_liftings_are_refused(name):
+    with pytest.raises(ValueError, match=r"Invalid lifting\. It must be one of tps\. Given "):
+        make_lifting(name, scattered(4))
+
+
+def test_every_registered_lifting_reports_its_own_name():
+    for name in LIFTINGS:
+        assert make_lifting(name, scattered(5)).name == name
+        assert repr(make_lifting(name, scattered(5))).endswith("(5 control points)")
