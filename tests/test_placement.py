@@ -6,7 +6,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
 
 from mexpress.liftings import ThinPlateSpline
-from mexpress.placement import covered_region, lattice, lloyd, thinness
+from mexpress.placement import _moments, covered_region, lattice, lloyd, thinness
 
 SQUARE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
 coordinates = st.integers(-50, 50).map(float)
@@ -92,6 +92,20 @@ def test_thinness_is_a_ratio():
     assert thinness(SQUARE) == pytest.approx(1)
 
 
+def test_moments_are_those_of_the_area():
+    rectangle = np.array([[10.0, 5.0], [16.0, 5.0], [16.0, 8.0], [10.0, 8.0]])
+    centroid, factor, area = _moments(rectangle)
+    np.testing.assert_allclose(centroid, [13, 6.5])
+    np.testing.assert_allclose(factor @ factor.T, np.diag([6**2, 3**2]) / 12, atol=1e-12)
+    assert area == pytest.approx(18)
+    triangle = np.array([[0.0, 0.0], [5.0, 1.0], [2.0, 7.0]])
+    centroid, factor, area = _moments(triangle)
+    about = triangle - triangle.mean(axis=0)
+    np.testing.assert_allclose(centroid, triangle.mean(axis=0))
+    np.testing.assert_allclose(factor @ factor.T, about.T @ about / 12)
+    assert area == pytest.approx(16.5)
+
+
 @pytest.mark.parametrize("number", [100, 2000])
 @given(arrays(float, (8, 2), elements=coordinates, unique=True))
 def test_the_lattice_fills_the_region_evenly(number, points):
@@ -131,6 +145,12 @@ def test_centres_are_spread_better_than_at_random():
 
     at_random = [energy(np.random.default_rng(s).uniform(0, 400, (20, 2))) for s in range(20)]
     assert max(energy(lloyd(SQUARE, 20, seed=s)) for s in range(5)) < 0.7 * min(at_random)
+
+
+def test_cells_of_a_long_region_are_round():
+    samples = lattice(SQUARE * [9, 1], 5000)
+    squared = ((samples[:, None] - lloyd(SQUARE * [9, 1], 30)) ** 2).sum(axis=2).min(axis=1)
+    assert squared.mean() < 0.19 * (9 * 400 * 400 / 30)  # hexagons: 0.160, squares: 0.167, 1 to 9: 0.76
 
 
 def test_only_the_region_matters_not_the_density():

@@ -281,6 +281,25 @@ def test_points_that_nothing_maps_to_are_nan():
     assert np.isnan(found[1]).all()
 
 
+def test_halved_steps_find_what_full_steps_miss():
+    warp = bent_warp()
+    far = warp(3 * positions(500, seed=3) - [WIDTH, HEIGHT])
+    found = warp.inverse(far)
+    solved = ~np.isnan(found[:, 0])
+    assert solved.mean() > 0.95  # full steps: 0.83
+    np.testing.assert_allclose(warp(found[solved]), far[solved], rtol=0, atol=1e-8)
+
+
+def test_no_inverse_is_given_where_the_warp_vanishes():
+    spline = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
+    parameters = np.column_stack([[1.0, 2, 1], [1.0, 1, 2], [1.0, 0, 1]])  # the denominator is 1 - x
+    horizon = Warp(spline, parameters, [[0, 0], [0.5, 0], [0, 0.5]])
+    points = np.array([[0.99, 0.1], [0.9999, 0.1]])
+    found = horizon.inverse(horizon(points))
+    np.testing.assert_allclose(found[0], points[0], atol=1e-8)
+    assert np.isnan(found[1]).all()
+
+
 def test_no_steps_find_only_what_the_samples_hit():
     assert np.isnan(bent_warp().inverse(positions(5), max_steps=0)).all()
 
@@ -376,8 +395,8 @@ def header(**changes):
         {},
         {"x": np.ones(3)},
         header(),
-        header(format="other"),
-        header(version=2),
+        header(format="other", **WARPS[1].to_arrays()),
+        header(version=2, **WARPS[1].to_arrays()),
         header(version="new"),
         header(version=[1, 2]),
         header(kind="sculpture"),
@@ -423,6 +442,23 @@ def test_pickles_and_arrays_are_no_models(tmp_path):
             write(file)
         with pytest.raises(ValueError, match=r"Invalid path\."):
             load(tmp_path / name)
+
+
+class Trap:
+    """An object whose unpickling leaves a trace."""
+
+    sprung = False
+
+    def __reduce__(self):
+        return (setattr, (Trap, "sprung", True))
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    arrays = header(**WARPS[1].to_arrays()) | {"parameters": np.array([Trap()], dtype=object)}
+    archive(tmp_path / "trap.npz", **arrays)
+    with pytest.raises(ValueError, match=r"Invalid path\."):
+        load(tmp_path / "trap.npz")
+    assert not Trap.sprung
 
 
 @pytest.mark.parametrize("model", [None, 3, ThinPlateSpline(control_points(4))])

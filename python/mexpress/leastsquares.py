@@ -168,8 +168,7 @@ class LeastSquares:
     @property
     def fit_rms(self) -> float:
         """E, the root mean square residual over the data: ``E^2 = sum w ||e||^2 / sum w``, equation (11)."""
-        total = None if self._row_weights is None else self._data_weights().sum()
-        return _root_mean(self.residuals, self._row_weights, self.n_data if total is None else total)
+        return _root_mean(self.residuals, self._row_weights, float(self._share_of_row(slice(None)).sum()))
 
     @property
     def press(self) -> float:
@@ -177,14 +176,14 @@ class LeastSquares:
 
         NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
         """
-        value, lost = self._press()
+        value, lost = self._press(None)
         _warn(lost, len(self.leverage), "row")
         return value
 
-    def _press(self) -> tuple[float, Integers]:
+    def _press(self, threads: int | None) -> tuple[float, Integers]:
         m = len(self.leverage)
         alone = IndexSets.single(m)
-        found = self._predict(Scheme(m, alone, alone), alone, None)
+        found = self._predict(Scheme(m, alone, alone), alone, threads)
         weights = self._row_weights
         total = float(m) if weights is None else float(weights.sum())
         return _root_mean(found.residuals, weights, total), found.undefined
@@ -302,9 +301,7 @@ class LeastSquares:
         lost = whole.undefined[(whole.undefined >= first) & (whole.undefined < last)] - first
         residuals, rows = whole.residuals[a:b], whole.rows[a:b]
         weights = None if self._row_weights is None else self._row_weights[rows]
-        # A datum's rows share its weight, which counts once.
-        total = float((1.0 / self._rows_of_datum[rows] * (1.0 if weights is None else weights)).sum())
-        score = _root_mean(residuals, weights, total)
+        score = _root_mean(residuals, weights, float(self._share_of_row(rows).sum()))
         return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
 
     def _predict(self, scheme: Scheme, coupling: IndexSets, threads: int | None) -> CrossValidation:
@@ -321,16 +318,15 @@ class LeastSquares:
         return CrossValidation(np.nan, flat, rows, pairs, lost)
 
     @property
-    def _rows_of_datum(self) -> Floats:
-        """For every row, how many rows its datum has."""
-        sizes = self._coupling.sizes.astype(np.float64)
-        counts = np.empty(len(self.leverage))
-        counts[self._coupling.indices] = np.repeat(sizes, self._coupling.sizes)
-        return counts
+    def _datum_of_row(self) -> Integers:
+        data = np.empty(len(self.leverage), dtype=np.int64)
+        data[self._coupling.indices] = np.repeat(np.arange(self.n_data), self._coupling.sizes)
+        return data
 
-    def _data_weights(self) -> Floats:
-        first = self._coupling.indices[self._coupling.offsets[:-1]]
-        return np.ones(self.n_data) if self._row_weights is None else self._row_weights[first]
+    def _share_of_row(self, rows: Integers | slice) -> Floats:
+        """Weights of rows, each a part of its datum's: a datum's weight counts once, however many rows it has."""
+        parts = np.reciprocal(self._coupling.sizes[self._datum_of_row[rows]], dtype=np.float64)
+        return parts if self._row_weights is None else parts * self._row_weights[rows]
 
 
 def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:

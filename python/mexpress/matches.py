@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
-from mexpress.placement import Array
+from mexpress._validation import Floats
 
 __all__ = ["read_matches", "read_points", "write_matches", "write_points_csv"]
 
 MATCH_COLUMNS = ("x1", "y1", "x2", "y2")
 POINT_COLUMNS = ("x", "y")
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 _ARRAYS = {".npy", ".npz"}
 
 Path_ = str | os.PathLike[str]
 
 
-def read_matches(path: Path_) -> tuple[Array, Array]:
+def read_matches(path: Path_) -> tuple[Floats, Floats]:
     """Read matched points of two images.
 
     Parameters
@@ -67,12 +67,14 @@ def read_matches(path: Path_) -> tuple[Array, Array]:
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)} in {path.name}")
         return source, target
-    rule = "It must hold arrays source and target, (n, 2), or one (n, 4) array (among several: matches)."
-    table = check.points(_the_array(path, arrays, "matches", ("matches", "tentative"), 4, rule), "matches", 4)
+    what = "arrays source and target, (n, 2), or one (n, 4) array (among several: matches)"
+    table = check.points(
+        _the_array(arrays, ("matches", "tentative"), 4, f"{path.name} must hold {what}."), "matches", 4
+    )
     return table[:, :2].copy(), table[:, 2:].copy()
 
 
-def read_points(path: Path_) -> Array:
+def read_points(path: Path_) -> Floats:
     """Read points.
 
     Parameters
@@ -96,7 +98,8 @@ def read_points(path: Path_) -> Array:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open(f"{folder}/points.txt", "w") as file:
-    ...         print("1 2", "3 4.5", sep="\\n", file=file)
+    ...         print("1 2", file=file)
+    ...         print("3 4.5", file=file)
     ...     read_points(f"{folder}/points.txt")
     array([[1. , 2. ],
            [3. , 4.5]])
@@ -105,8 +108,8 @@ def read_points(path: Path_) -> Array:
     if path.suffix.lower() not in _ARRAYS:
         return _read_text(path, "points", POINT_COLUMNS)
     arrays = _read_arrays(path, "points")
-    rule = "It must hold one (n, 2) array (among several: points)."
-    return check.points(_the_array(path, arrays, "points", ("points",), 2, rule), "points")
+    rule = f"{path.name} must hold one (n, 2) array (among several: points)."
+    return check.points(_the_array(arrays, ("points",), 2, rule), "points")
 
 
 def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
@@ -128,7 +131,7 @@ def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
         write_rows(file, MATCH_COLUMNS, rows.tolist())
 
 
-def write_points_csv(file: TextIO, points: Array, columns: Sequence[str] = POINT_COLUMNS) -> None:
+def write_points_csv(file: TextIO, points: Floats, columns: Sequence[str] = POINT_COLUMNS) -> None:
     """Write points as comma-separated text, with as many digits as reading them back needs.
 
     Parameters
@@ -157,25 +160,75 @@ def write_rows(file: TextIO, columns: Sequence[str], rows: Iterable[Sequence[obj
     file.writelines(",".join(map(str, row)) + "\n" for row in rows)
 
 
-def _read_text(path: Path, name: str, columns: Sequence[str]) -> Array:
-    lines = list(_lines(path, name))
-    if not lines:
-        check.refuse(name, "The file must have at least one line of numbers.", f"{path.name}, which is empty")
-    separator = next((s for s in (";", "\t", ",") if s in lines[0][1]), None)
-    split = [(line, [cell.strip().strip("\"'") for cell in text.split(separator)]) for line, text in lines]
-    first = split[0][1]
-    chosen = list(range(len(columns)))
-    if not any(_NUMBER.fullmatch(cell) for cell in first):
-        header = [cell.lower() for cell in first]
-        if set(columns) <= set(header):
-            chosen = [header.index(column) for column in columns]
-        split = split[1:]
-        if not split:
-            check.refuse(name, "The file must have numbers below its header.", f"none in {path.name}")
-    width = len(first) if chosen != list(range(len(columns))) or _named(first, columns) else len(columns)
-    rows = [_numbers(cells, chosen, width, f"{path.name}, line {line}", name, columns) for line, cells in split]
-    return np.array(rows, dtype=np.float64)
+def _read_text(path: Path, name: str, columns: Sequence[str]) -> Floats:
+    rows = list(_cells(path, name))
+    if not rows:
+        check.refuse(name, "The file must have at least one line of numbers.", f"{path.name}, which has none")
+    header, width, chosen = _layout(rows[0][1], columns)
+    if header and len(rows) == 1:
+        check.refuse(name, "The file must have numbers below its header.", f"{path.name}, which has none")
+    table = np.empty((len(rows) - header, len(columns)))
+    for row, (line, cells) in zip(table, rows[header:], strict=True):
+        place = f"line {line} of {path.name}"
+        if len(cells) != width:
+            rule = f"A line must have {width} columns ({', '.join(columns)})."
+            check.refuse(name, rule, f"{len(cells)} in {place}")
+        row[:] = [_value(cells[column], name, place) for column in chosen]
+    return table
 
 
-def _named(header: Sequence[str], columns: Sequence[str]) -> bool:
-    return set(columns) <= {cell.lower() for cell in header}
+def _cells(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield line numbers and cells of the lines that hold something; the first decides on the separator."""
+    separator: str | None = None
+    first = True
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            for number, text in enumerate(file, start=1):
+                line = text.strip()
+                if not line or line.startswith("#"):
+                    continue
+                if first:
+                    separator = next((s for s in (";", "\t", ",") if s in line), None)
+                    first = False
+                yield number, [cell.strip().strip("\"'") for cell in line.split(separator)]
+    except UnicodeDecodeError:
+        check.refuse(name, "The file must be text, .npz or .npy.", f"{path.name}, which is not text")
+
+
+def _layout(first: Sequence[str], columns: Sequence[str]) -> tuple[bool, int, list[int]]:
+    """Tell whether there is a header, how many columns there are, and which ones to take."""
+    if any(_NUMBER.fullmatch(cell) for cell in first):
+        return False, len(columns), list(range(len(columns)))
+    names = [cell.lower() for cell in first]
+    if set(columns) <= set(names):
+        return True, len(names), [names.index(column) for column in columns]
+    return True, len(columns), list(range(len(columns)))
+
+
+def _value(cell: str, name: str, place: str) -> float:
+    # Not float's own grammar: it reads 1_000, and digits of any script.
+    number = float(cell) if _NUMBER.fullmatch(cell) else None
+    if number is None or not np.isfinite(number):
+        check.refuse(name, "Cells must be finite numbers.", f"{cell!r} in {place}")
+    return number
+
+
+def _read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
+    with path.open("rb") as file:
+        try:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {name: loaded}
+            return {key: loaded[key] for key in loaded.files}
+        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
+            check.refuse(name, "The file must hold arrays of numbers.", f"{path.name}: {error}")
+
+
+def _the_array(arrays: dict[str, NDArray[Any]], known: Sequence[str], width: int, rule: str) -> NDArray[Any]:
+    """Return the array that has a known name, or the only one."""
+    named = [key for key in known if key in arrays] or list(arrays)
+    shaped = [key for key in named if arrays[key].ndim == 2 and arrays[key].shape[1] == width]
+    if len(named) != 1 or len(shaped) != 1:
+        there = ", ".join(f"{key} {arrays[key].shape}" for key in arrays) or "no arrays"
+        check.refuse(known[0], rule, there)
+    return arrays[named[0]]

@@ -422,7 +422,7 @@ def warp_design(
     >>> warp_design(ThinPlateSpline(square), square, square)
     WarpDesign(8 x 11, ThinPlateSpline(4 control points))
     """
-    source, target = _matches(source, target)
+    source, target = matched(source, target)
     domain = covered_region(source, "source")
     basis = lifting.basis(source)
     centre = target.mean(axis=0)
@@ -481,18 +481,17 @@ def fit_warp(
     if not isinstance(fractional, bool | np.bool_):
         check.refuse("fractional", "It must be True or False.", check.describe(fractional), TypeError)
     design = warp_design(make_lifting(lifting, control_points), source, target, bool(fractional))
-    m, p = design.A.shape
-    model = LeastSquares(design.A, design.b, coupling=design.coupling) if m >= p else None
-    rank = m if model is None else model.rank
-    if model is None or rank < p:
-        count, n = len(design.lifting.control_points), m // design.coupling
+    model = LeastSquares(design.A, design.b, coupling=design.coupling)
+    rows, unknowns = design.A.shape
+    if model.rank < unknowns:
         rule = "The matches must determine the warp, so take fewer control points."
-        given = f"{count}, hence {p} unknowns, and {n} matches whose equations have rank {rank}"
+        count, matches = len(design.lifting.control_points), rows // design.coupling
+        given = f"{count}, hence {unknowns} unknowns, and {matches} matches of rank {model.rank} in all"
         check.refuse("control_points", rule, given)
     return design.warp(model.coefficients)
 
 
-def _matches(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
+def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
     source, target = check.points(source, "source"), check.points(target, "target")
     if len(source) != len(target):
         rule = "It must have one point per source point."

@@ -134,33 +134,57 @@ impl Bordered {
         Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
     }
 
-    /// Entry `column` of the forward solve of border row `row` (counted from the first border row).
-    pub fn forward(&self, row: usize, column: usize) -> f64 {
+    /// `L^T z = y` with y the forward solve of border row `row`: unknowns `from..order`.
+    pub fn back_solve(&mut self, row: usize, from: usize) -> &[f64] {
         let Shape { order, terms, .. } = self.shape;
         let row = order + row;
-        self.storage[self.skip + row / PANEL * self.shape.stride() + (terms + column) * PANEL + row % PANEL]
+        let at = self.skip + row / PANEL * self.shape.stride() + terms * PANEL + row % PANEL;
+        self.solution.fill(0.0);
+        for (y, border) in self.solution[..order].iter_mut().zip(self.storage[at..].iter().step_by(PANEL)) {
+            *y = *border;
+        }
+        self.back_substitute(from);
+        &self.solution[from..order]
     }
 
-    /// The unknowns `from..order` of `L^T z = y`, with y the forward solve of border row `row`.
-    pub fn back_solve(&mut self, row: usize, from: usize) -> &[f64] {
-        let Shape { order, terms, panels } = self.shape;
-        let stride = self.shape.stride();
-        self.solution[..panels * PANEL].fill(0.0);
-        for j in (from..order).rev() {
-            // Unknowns not yet found are zero, which masks what lies above the diagonal.
-            let mut lanes = [0.0; PANEL];
-            for panel in j / PANEL..panels {
-                let at = self.skip + panel * stride + (terms + j) * PANEL;
-                let column = &self.storage[at..at + PANEL];
-                let known = &self.solution[panel * PANEL..(panel + 1) * PANEL];
-                for ((lane, a), b) in lanes.iter_mut().zip(column).zip(known) {
-                    *lane += a * b;
-                }
-            }
-            let sum: f64 = lanes.iter().sum();
-            self.solution[j] = (self.forward(row, j) - sum) * self.inverse_pivots[j];
+    /// `L L^T z = right`, for a right-hand side that came after the factorisation.
+    pub fn solve(&mut self, right: &[f64]) -> &[f64] {
+        let order = self.shape.order;
+        self.solution.fill(0.0);
+        self.solution[..order].copy_from_slice(right);
+        for j in 0..order {
+            let y = self.solution[j] * self.inverse_pivots[j];
+            self.each_below(j, |rest, column| rest.iter_mut().zip(column).for_each(|(r, l)| *r -= l * y));
+            self.solution[j] = y;
         }
-        &self.solution[from..order]
+        self.back_substitute(0);
+        &self.solution[..order]
+    }
+
+    fn back_substitute(&mut self, from: usize) {
+        self.solution[self.shape.order..].fill(0.0);
+        for j in (from..self.shape.order).rev() {
+            let mut lanes = [0.0; PANEL];
+            self.each_below(j, |known, column| {
+                for ((lane, z), l) in lanes.iter_mut().zip(known).zip(column) {
+                    *lane += *z * l;
+                }
+            });
+            self.solution[j] = (self.solution[j] - lanes.iter().sum::<f64>()) * self.inverse_pivots[j];
+        }
+    }
+
+    /// Visits column j of L below its diagonal, panel by panel, beside the same part of the solution.
+    fn each_below(&mut self, j: usize, mut visit: impl FnMut(&mut [f64], &[f64])) {
+        let Shape { terms, panels, .. } = self.shape;
+        let own = j % PANEL + 1;
+        for panel in j / PANEL..panels {
+            let at = self.skip + panel * self.shape.stride() + (terms + j) * PANEL;
+            // What stands above the diagonal of its own panel is not L's.
+            let first = if panel == j / PANEL { own } else { 0 };
+            let known = &mut self.solution[panel * PANEL + first..(panel + 1) * PANEL];
+            visit(known, &self.storage[at + first..at + PANEL]);
+        }
     }
 }
 
@@ -353,6 +377,8 @@ mod tests {
                 let smallest = system.factor();
                 assert!(smallest > 0.0 && smallest <= 1.0);
                 let z = system.back_solve(0, 0).to_vec();
+                let again = system.solve(&right);
+                assert!(z.iter().zip(again).all(|(a, b)| (a - b).abs() < 1e-13));
                 for i in 0..order {
                     let dot = |t: usize| (0..order).map(|j| x[t * order + j] * z[j]).sum::<f64>();
                     let product = z[i] - (0..terms).map(|t| x[t * order + i] * dot(t)).sum::<f64>();

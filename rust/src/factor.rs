@@ -39,6 +39,10 @@ pub struct Factor {
     pub basis: Vec<f64>,
     /// `Q^T A` with A's columns at unit length: rank x columns, column-major. Tells rank from rounding.
     pub(crate) triangle: Vec<f64>,
+    /// A lower bound on the smallest singular value of `triangle` that counts for the rank.
+    pub(crate) least: f64,
+    /// Below this, relative to the largest, a singular value is rounding.
+    pub(crate) tolerance: f64,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
@@ -72,6 +76,8 @@ impl Factor {
             rank: top.rank,
             basis,
             triangle: Vec::new(),
+            least: top.least,
+            tolerance: top.tolerance,
             coefficients: Vec::new(),
             residuals: weighted_responses(problem, responses),
             // The penalty rows' leverage is dropped at the end.
@@ -317,10 +323,13 @@ fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [f64], 
 /// The stacked triangles, factored: the small end of the factorisation, where rank is decided.
 struct Top {
     rank: usize,
+    columns: usize,
     /// Orthonormal columns that the leaves' reflections turn into the basis; height x rank.
     basis: Vec<f64>,
     height: usize,
     triangle: Vec<f64>,
+    least: f64,
+    tolerance: f64,
     inverse: Inverse,
 }
 
@@ -328,8 +337,8 @@ struct Top {
 enum Inverse {
     /// R, columns x columns.
     Triangle(Vec<f64>),
-    /// Columns scaled to unit length by `scales`; singular values and right vectors of what remains.
-    Svd { scales: Vec<f64>, values: Vec<f64>, vectors: Vec<f64> },
+    /// `D V S^-1`, columns x rank: D scales columns to unit length, S and V are singular values and right vectors.
+    Pseudo(Vec<f64>),
 }
 
 impl Top {
@@ -347,13 +356,13 @@ impl Top {
         let tolerance = leaves.rows.max(columns) as f64 * f64::EPSILON;
         // 1 / ||R^-1|| is below the smallest singular value and sqrt(columns) above the largest, so most designs
         // pass without a decomposition.
-        let margin = tolerance * (columns as f64).sqrt() * 2.0;
-        let full = size == columns && linalg::inverse_norm(&r, columns) * margin < 1.0;
-        let (rank, turn, triangle, inverse) = if full {
-            (columns, None, r, Inverse::Triangle(stack_triangle(&stack, height, columns)))
+        let bound = if size == columns { linalg::inverse_norm(&r, columns).recip() } else { 0.0 };
+        let full = bound > 2.0 * tolerance * (columns as f64).sqrt();
+        let (rank, turn, triangle, least, inverse) = if full {
+            (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
         } else {
-            let (rank, u, triangle, inverse) = reveal(&r, size, columns, scales, tolerance)?;
-            (rank, Some(u), triangle, inverse)
+            let Revealed { left, triangle, inverse, values } = Revealed::new(&r, size, columns, scales, tolerance)?;
+            (values.len(), Some(left), triangle, values.last().copied().unwrap_or(0.0), inverse)
         };
         let mut basis = vec![0.0; height * rank];
         for (j, column) in basis.chunks_exact_mut(height).enumerate() {
@@ -365,7 +374,7 @@ impl Top {
         if many {
             linalg::apply_q(&stack, height, columns, &reflectors, &mut basis, rank, &mut scratch);
         }
-        Ok(Self { rank, basis, height, triangle, inverse })
+        Ok(Self { rank, columns, basis, height, triangle, least, tolerance, inverse })
     }
 
     /// Least-squares coefficients (columns x responses); of least norm, columns at unit length, when rank is lost.
@@ -376,13 +385,7 @@ impl Top {
                 linalg::solve_upper(r, self.rank, self.rank, &mut x, responses);
                 x
             }
-            Inverse::Svd { scales, values, vectors } => {
-                let mut c = projection.to_vec();
-                c.chunks_exact_mut(self.rank.max(1)).for_each(|c| c.iter_mut().zip(values).for_each(|(c, s)| *c /= s));
-                let mut x = linalg::product(vectors, &c, scales.len(), self.rank, responses);
-                x.chunks_exact_mut(scales.len()).for_each(|x| x.iter_mut().zip(scales).for_each(|(x, s)| *x *= s));
-                x
-            }
+            Inverse::Pseudo(inverse) => linalg::product(inverse, projection, self.columns, self.rank, responses),
         }
     }
 }
@@ -407,26 +410,32 @@ fn stack_triangle(stack: &[f64], height: usize, columns: usize) -> Vec<f64> {
     (0..columns).flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 })).collect()
 }
 
-/// Rank by singular values, as `numpy.linalg.matrix_rank` decides it; the left vectors kept, `S V^T`, and the inverse.
-fn reveal(
-    r: &[f64],
-    size: usize,
-    columns: usize,
-    scales: Vec<f64>,
-    tolerance: f64,
-) -> Result<(usize, Vec<f64>, Vec<f64>, Inverse), Error> {
-    let linalg::Svd { mut u, mut s, mut v } = linalg::thin_svd(r, size, columns)?;
-    let rank = numerical_rank(&s, tolerance);
-    u.truncate(size * rank);
-    s.truncate(rank);
-    v.truncate(columns * rank);
-    let mut triangle = vec![0.0; rank * columns];
-    for (j, column) in triangle.chunks_exact_mut(rank.max(1)).enumerate() {
-        for (i, x) in column.iter_mut().enumerate() {
-            *x = s[i] * v[i * columns + j];
+/// A triangle whose rank took a singular value decomposition, cut to that rank.
+struct Revealed {
+    left: Vec<f64>,
+    values: Vec<f64>,
+    /// `S V^T`.
+    triangle: Vec<f64>,
+    inverse: Inverse,
+}
+
+impl Revealed {
+    /// Decides as `numpy.linalg.matrix_rank` does.
+    fn new(r: &[f64], size: usize, columns: usize, scales: Vec<f64>, tolerance: f64) -> Result<Self, Error> {
+        let linalg::Svd { u: mut left, s: mut values, v } = linalg::thin_svd(r, size, columns)?;
+        let rank = numerical_rank(&values, tolerance);
+        left.truncate(size * rank);
+        values.truncate(rank);
+        let mut triangle = vec![0.0; rank * columns];
+        let mut inverse = vec![0.0; columns * rank];
+        for (i, s) in values.iter().enumerate() {
+            for (j, scale) in scales.iter().enumerate() {
+                triangle[j * rank + i] = s * v[i * columns + j];
+                inverse[i * columns + j] = scale * v[i * columns + j] / s;
+            }
         }
+        Ok(Self { left, values, triangle, inverse: Inverse::Pseudo(inverse) })
     }
-    Ok((rank, u, triangle, Inverse::Svd { scales, values: s, vectors: v }))
 }
 
 /// How many singular values, in decreasing order, stand out of the rounding of the first.

@@ -16,7 +16,7 @@ use crate::refit::Refit;
 use crate::scheme::Sets;
 
 /// Below this pivot the closed form may lose more than nine digits: its error is about eps / lambda_min(M).
-const SAFE_PIVOT: f64 = 1e-5;
+const SAFE_PIVOT: f64 = 1e-4;
 
 /// Hat matrices are kept whole up to this many rows (72 MB).
 const HAT_ROWS: usize = 3000;
@@ -36,7 +36,9 @@ pub struct Pairs<'a> {
 pub enum Status {
     /// The closed form holds.
     Closed,
-    /// The closed form was too close to rank loss; the training rows were refitted.
+    /// Close to rank loss; the closed form was refined on the training rows.
+    Refined,
+    /// Closer still; the training rows were refitted.
     Refitted,
     /// The training rows have lower rank than all rows: no prediction exists.
     Undefined,
@@ -255,16 +257,19 @@ impl Workspace {
                 if dual <= primal { self.dual(factor, hat, out) } else { self.primal(factor, out) }
             }
         };
-        let status = if smallest >= SAFE_PIVOT {
-            Status::Closed
-        } else {
-            self.refit.predict(factor, &self.rows, self.validated, out)
-        };
+        let status = if smallest >= SAFE_PIVOT { Status::Closed } else { self.rescue(factor, out) };
         let validated = &self.rows[q - self.validated..];
         for (e, &row) in out.chunks_exact_mut(factor.responses).zip(validated) {
             e.iter_mut().for_each(|e| *e *= factor.unweight(row));
         }
         status
+    }
+
+    /// A pair too close to rank loss for the closed form alone.
+    fn rescue(&mut self, factor: &Factor, out: &mut [f64]) -> Status {
+        out.fill(f64::NAN);
+        let smallest = self.primal_factor(factor);
+        self.refit.predict(factor, &mut self.system, smallest, &self.rows, self.validated, out)
     }
 
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
@@ -324,12 +329,17 @@ impl Workspace {
         smallest
     }
 
-    fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
-        let responses = factor.responses;
-        self.system.start(factor.rank, responses, self.rows.len());
+    fn primal_factor(&mut self, factor: &Factor) -> f64 {
+        self.system.start(factor.rank, factor.responses, self.rows.len());
         let rows = &self.rows;
         self.system.set_terms(|t| factor.basis_row(rows[t]), |t| factor.residual_row(rows[t]));
-        let smallest = self.system.factor();
+        self.system.factor()
+    }
+
+    fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
+        let responses = factor.responses;
+        let smallest = self.primal_factor(factor);
+        let rows = &self.rows;
         if smallest >= SAFE_PIVOT {
             let validated = &rows[rows.len() - self.validated..];
             for c in 0..responses {

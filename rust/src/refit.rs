@@ -1,77 +1,146 @@
-//! The few pairs whose training rows barely determine the model, or do not: an exact refit.
+//! The few pairs whose training rows barely determine the model, or do not.
 //!
-//! Cholesky pivots square singular values and tell loss only down to about 1e-7 in them. Here the training rows of the
-//! basis are reduced by Householder reflections, which sees down to rounding.
+//! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is
+//! about eps / lambda_min(M). Two remedies, the cheaper first. *Refinement* takes the residuals of the training rows
+//! themselves, which do not suffer, and corrects with the factor at hand. Where even that is too coarse, a *refit* reduces
+//! the training rows by Householder reflections, which sees rank down to rounding.
 
+use crate::cholesky::Bordered;
 use crate::factor::{Factor, numerical_rank};
 use crate::holdout::Status;
-use crate::linalg::{self, QrScratch};
+use crate::linalg::{self, QrScratch, dot};
 
 /// Training rows reduced at a time.
 const ROWS: usize = 512;
+
+/// Refinement needs a factor that contracts the error: eps over this is a thousandth.
+const REFINABLE_PIVOT: f64 = 1e-10;
 
 /// Workspace; allocated at the first pair that needs it.
 #[derive(Default)]
 pub struct Refit {
     held: Vec<bool>,
-    /// The running triangle over a block of rows of `[Q | e]`, column-major.
+    change: Vec<f64>,
+    gradient: Vec<f64>,
+    /// A block of rows of `[Q | e]` under the triangle of those before, column-major.
     block: Vec<f64>,
     reflectors: Vec<f64>,
     scratch: Option<QrScratch>,
 }
 
 impl Refit {
-    /// Refits without `rows`, and writes the weighted residuals of the last `validated` of them.
-    pub(crate) fn predict(&mut self, factor: &Factor, rows: &[usize], validated: usize, out: &mut [f64]) -> Status {
-        let (rank, responses) = (factor.rank, factor.responses);
-        let width = rank + responses;
-        let height = width + ROWS;
-        self.reserve(factor, height, width);
+    /// Predicts without `rows`, and writes the weighted residuals of the last `validated` of them. `system` holds the
+    /// factor of M, and `smallest` is its smallest pivot.
+    pub(crate) fn predict(
+        &mut self,
+        factor: &Factor,
+        system: &mut Bordered,
+        smallest: f64,
+        rows: &[usize],
+        validated: usize,
+        out: &mut [f64],
+    ) -> Status {
+        self.held.resize(factor.basis.len() / factor.rank, false);
         rows.iter().for_each(|&i| self.held[i] = true);
-        self.reduce(factor, height, width);
+        self.change.clear();
+        self.change.resize(factor.rank * factor.responses, 0.0);
+        let status = if smallest > REFINABLE_PIVOT && self.certain(factor) && self.refine(factor, system) {
+            Status::Refined
+        } else if self.reduce(factor, rows.len()) {
+            Status::Refitted
+        } else {
+            Status::Undefined
+        };
         rows.iter().for_each(|&i| self.held[i] = false);
-        if self.rank(factor, height) < rank {
-            out.fill(f64::NAN);
-            return Status::Undefined;
+        if status == Status::Undefined {
+            return status;
         }
-        for c in 0..responses {
-            let column = (rank + c) * height;
-            let mut change = self.block[column..column + rank].to_vec();
-            linalg::solve_upper(&self.block, height, rank, &mut change, 1);
-            let kept = &rows[rows.len() - validated..];
-            for (e, &row) in out.iter_mut().skip(c).step_by(responses).zip(kept) {
-                *e = factor.residual_row(row)[c] - linalg::dot(factor.basis_row(row), &change);
+        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&rows[rows.len() - validated..]) {
+            for ((e, fit), change) in
+                e.iter_mut().zip(factor.residual_row(row)).zip(self.change.chunks_exact(factor.rank))
+            {
+                *e = fit - dot(factor.basis_row(row), change);
             }
         }
-        Status::Refitted
+        status
     }
 
-    fn reserve(&mut self, factor: &Factor, height: usize, width: usize) {
-        self.held.resize(factor.rows, false);
-        self.block.resize(height * width, 0.0);
-        self.reflectors.resize(linalg::reflector_size(height, width), 0.0);
-        self.scratch.get_or_insert_with(|| QrScratch::new(height, width));
+    /// Whether pivots that can be refined leave no doubt of the training rows' rank. Their singular values are at least
+    /// those of the design times the square root of lambda_min(M), which is allowed a hundredth of the pivot.
+    fn certain(&self, factor: &Factor) -> bool {
+        let bound = factor.least * (REFINABLE_PIVOT / 100.0).sqrt();
+        bound > factor.tolerance * (factor.columns as f64).sqrt()
+    }
+
+    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until d is rounding; false if it does not get there.
+    fn refine(&mut self, factor: &Factor, system: &mut Bordered) -> bool {
+        let Self { held, change, gradient, .. } = self;
+        let rank = factor.rank;
+        gradient.resize(rank, 0.0);
+        change.chunks_exact_mut(rank).enumerate().all(|(c, change)| {
+            let mut before = f64::INFINITY;
+            for _ in 0..8 {
+                gradient.fill(0.0);
+                for i in (0..held.len()).filter(|&i| !held[i]) {
+                    let q = factor.basis_row(i);
+                    let rest = factor.residual_row(i)[c] - dot(q, change);
+                    gradient.iter_mut().zip(q).for_each(|(g, q)| *g += rest * q);
+                }
+                let step = system.solve(gradient);
+                change.iter_mut().zip(step).for_each(|(x, d)| *x += d);
+                let (length, whole) = (dot(step, step), dot(change, change));
+                if length <= 1e-24 * whole {
+                    return true;
+                }
+                // Squares: each step must gain a digit.
+                if length.is_nan() || length > 1e-2 * before {
+                    return false;
+                }
+                before = length;
+            }
+            false
+        })
+    }
+
+    /// Solves the training rows by QR; false if they have lost rank.
+    fn reduce(&mut self, factor: &Factor, held: usize) -> bool {
+        let (rank, responses) = (factor.rank, factor.responses);
+        let width = rank + responses;
+        let height = (self.held.len() - held).clamp(width, width + ROWS);
+        self.triangle(factor, height, width);
+        if self.rank(factor, height) < rank {
+            return false;
+        }
+        for (c, change) in self.change.chunks_exact_mut(rank).enumerate() {
+            let column = (rank + c) * height;
+            change.copy_from_slice(&self.block[column..column + rank]);
+        }
+        linalg::solve_upper(&self.block, height, rank, &mut self.change, responses);
+        true
     }
 
     /// Leaves the triangle of the training rows of `[Q | e]` at the top of `block`.
-    fn reduce(&mut self, factor: &Factor, height: usize, width: usize) {
-        let Self { held, block, reflectors, scratch: Some(scratch) } = self else { return };
-        block.fill(0.0);
-        let total = factor.basis.len() / factor.rank.max(1);
-        let mut training = (0..total).filter(|&i| i >= factor.rows || !held[i]).peekable();
+    fn triangle(&mut self, factor: &Factor, height: usize, width: usize) {
+        let Self { held, block, reflectors, scratch, .. } = self;
+        // Sized for the largest block, whatever this pair's.
+        let scratch = scratch.get_or_insert_with(|| QrScratch::new(width + ROWS, width));
+        block.clear();
+        block.resize(height * width, 0.0);
+        reflectors.resize(linalg::reflector_size(height, width), 0.0);
+        let mut training = (0..held.len()).filter(|&i| !held[i]).peekable();
+        let mut kept = 0;
         while training.peek().is_some() {
             for j in 0..width {
-                block[j * height + (j + 1).min(width)..(j + 1) * height].fill(0.0);
+                block[j * height + kept.min(j + 1)..(j + 1) * height].fill(0.0);
             }
-            for (k, row) in training.by_ref().take(ROWS).enumerate() {
-                for (j, &q) in factor.basis_row(row).iter().enumerate() {
-                    block[j * height + width + k] = q;
-                }
-                for (c, &e) in factor.residual_row(row).iter().enumerate() {
-                    block[(factor.rank + c) * height + width + k] = e;
+            for (k, row) in training.by_ref().take(height - kept).enumerate() {
+                let entries = factor.basis_row(row).iter().chain(factor.residual_row(row));
+                for (j, &x) in entries.enumerate() {
+                    block[j * height + kept + k] = x;
                 }
             }
             linalg::qr_in_place(block, height, width, reflectors, scratch);
+            kept = width;
         }
     }
 
@@ -82,9 +151,11 @@ impl Refit {
         for (j, column) in r.chunks_exact_mut(rank).enumerate() {
             column[..=j].copy_from_slice(&self.block[j * height..j * height + j + 1]);
         }
+        let bound = factor.least / linalg::inverse_norm(&r, rank);
+        if bound > 2.0 * factor.tolerance * (factor.columns as f64).sqrt() {
+            return rank;
+        }
         let design = linalg::product(&r, &factor.triangle, rank, rank, factor.columns);
-        let tolerance = factor.rows.max(factor.columns) as f64 * f64::EPSILON;
-        // The design's smallest singular value is at least 1 / (||R^-1|| ||triangle^-1||), its largest at most sqrt(columns).
-        linalg::thin_svd(&design, rank, factor.columns).map_or(0, |svd| numerical_rank(&svd.s, tolerance))
+        linalg::thin_svd(&design, rank, factor.columns).map_or(0, |svd| numerical_rank(&svd.s, factor.tolerance))
     }
 }

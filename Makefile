@@ -1,0 +1,53 @@
+# Everything sets itself up: Python >= 3.11, cargo and make are all that a machine needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check bench docs clean
+
+help: ## Show what can be made
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+
+demo: $(VENV)/demo ## Register a stereo pair with the right number of control points; see demo-output/
+	$(BIN)/python examples/demo_warp.py
+
+test: $(VENV)/test ## Run every test, of Rust and of Python
+	cargo test --release --locked --quiet
+	$(BIN)/python -m pytest
+
+check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native module's stub
+	cargo fmt --check
+	cargo clippy --locked --all-targets --features python --quiet -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --quiet
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest mexpress._core
+
+bench: $(VENV)/bench $(VENV)/test ## Time the core against numpy and peers
+	$(BIN)/python benches/versus.py
+	cargo bench --locked
+
+docs: ## Build the crate's documentation
+	cargo doc --locked --no-deps
+
+clean: ## Remove what was built
+	rm -rf target $(VENV) demo-output dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(VENV)/pip:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	@touch $@
+
+$(VENV)/built: $(VENV)/pip $(RUST)
+	$(BIN)/python -m pip install --quiet 'maturin>=1.9.4,<2'
+	$(BIN)/python -m pip install --quiet --no-build-isolation --editable .
+	@touch $@
+
+# A stamp for each group of tools, installed when first wanted.
+$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/bench: $(VENV)/built
+	$(BIN)/python -m pip install --quiet --group $(notdir $@)
+	@touch $@

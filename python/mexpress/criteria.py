@@ -1,0 +1,269 @@
+"""Criteria by name: a number per model, smallest for the model to choose.
+
+======================  ==================================================================================
+FIT                     root mean square residual, equation (11): always prefers more parameters
+PRESS                   every row held out on its own, equation (3)
+CMPRESS                 every datum held out on its own, equation (8)
+KFkk                    kk random folds, equation (9)
+ERxx                    local exclusion of all within xx % of the diagonal, equations (12, 13); decimals allowed
+NNxxPTS, NNxxPCT        local exclusion of the xx nearest, or xx % of the data, the datum itself counted
+DELAUNAY                local exclusion of the neighbours in the Delaunay triangulation
+LPOxx                   sets of xx data, at most 1000 of them, drawn at random
+RSxxPCT                 random xx % of the data, 100 times
+AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) for parameters
+======================  ==================================================================================
+
+Case does not matter, and ``PRESS`` may follow, as in the paper: ``er10`` and ``ER10PRESS`` are ER10.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mexpress import _validation as check
+from mexpress import schemes
+from mexpress._validation import Floats, Integers
+from mexpress.leastsquares import LeastSquares
+from mexpress.schemes import Scheme
+
+__all__ = ["Criterion", "Judge", "Score", "parse"]
+
+LEAVE_P_OUT_SETS = 1000
+RANDOM_REPEATS = 100
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A criterion's name, its family (a pattern above), and the number in it.
+
+    Examples
+    --------
+    >>> from mexpress.criteria import parse
+    >>> parse("er7.5press")
+    Criterion(name='ER7.5', family='ER', amount=7.5)
+    """
+
+    name: str
+    family: str
+    amount: float = 0.0
+
+
+@dataclass(frozen=True)
+class Data:
+    """What the schemes of a sweep are made of: where the data are, how large the domain is, and a seed."""
+
+    points: Floats
+    diagonal: float
+    seed: Any
+    threads: int | None
+
+
+def _share(percent: float, n: int) -> int:
+    """A percentage of the data, at least one, half rounding up."""
+    return max(1, math.floor(percent * n / 100 + 0.5))
+
+
+SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
+    "CMPRESS": lambda _, data: schemes.leave_one_out(len(data.points)),
+    "KF": lambda k, data: schemes.k_fold(len(data.points), int(k), data.seed),
+    "ER": lambda percent, data: schemes.exclusion_radius(
+        data.points, percent / 100 * data.diagonal, data.threads
+    ),
+    "NN..PTS": lambda k, data: schemes.nearest(data.points, int(k), data.threads),
+    "NN..PCT": lambda percent, data: schemes.nearest(
+        data.points, _share(percent, len(data.points)), data.threads
+    ),
+    "DELAUNAY": lambda _, data: schemes.delaunay(data.points),
+    "LPO": lambda p, data: schemes.leave_p_out(len(data.points), int(p), LEAVE_P_OUT_SETS, data.seed),
+    "RS..PCT": lambda percent, data: schemes.random_sampling(
+        len(data.points), _share(percent, len(data.points)), RANDOM_REPEATS, data.seed
+    ),
+}
+
+
+def _aic(model: LeastSquares) -> float:
+    m = len(model.leverage)
+    return m * _log_rss(model) + 2 * float(model.leverage.sum())
+
+
+def _bic(model: LeastSquares) -> float:
+    m = len(model.leverage)
+    return m * _log_rss(model) + math.log(m) * float(model.leverage.sum())
+
+
+def _log_rss(model: LeastSquares) -> float:
+    """ln(RSS / m), counting measurements: with several to a datum, each is one piece of evidence."""
+    m = len(model.leverage)
+    mean_square = model.fit_rms**2 * model.n_data / m
+    return math.log(mean_square) if mean_square > 0 else -math.inf
+
+
+def _gcv(model: LeastSquares) -> float:
+    """Its root, so that it stands beside the prediction errors."""
+    free = 1 - float(model.leverage.sum()) / len(model.leverage)
+    return model.fit_rms / free if free > 1e-12 else math.nan
+
+
+FORMULAS: dict[str, Callable[[LeastSquares], float]] = {
+    "FIT": lambda model: model.fit_rms,
+    "AIC": _aic,
+    "BIC": _bic,
+    "GCV": _gcv,
+}
+
+_WHOLE, _DECIMAL = r"(\d+)", r"(\d+(?:\.\d+)?)"
+_PATTERNS = {name: name for name in ("FIT", "PRESS", "CMPRESS", "DELAUNAY", "AIC", "BIC", "GCV")} | {
+    "KF": f"KF{_WHOLE}",
+    "ER": f"ER{_DECIMAL}",
+    "NN..PTS": f"NN{_WHOLE}PTS",
+    "NN..PCT": f"NN{_DECIMAL}PCT",
+    "LPO": f"LPO{_WHOLE}",
+    "RS..PCT": f"RS{_DECIMAL}PCT",
+}
+
+
+def parse(name: str) -> Criterion:
+    """Read a criterion's name.
+
+    Parameters
+    ----------
+    name : str
+        As in this module's table.
+
+    Raises
+    ------
+    ValueError
+        If it is none of them.
+
+    Examples
+    --------
+    >>> from mexpress.criteria import parse
+    >>> parse("KF05")
+    Criterion(name='KF05', family='KF', amount=5.0)
+    """
+    rule = (
+        "It must be one of FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, LPOxx, RSxxPCT, AIC, BIC, GCV."
+    )
+    if not isinstance(name, str):
+        check.refuse("criterion", rule, check.describe(name), TypeError)
+    plain = name.strip().upper()
+    if plain not in _PATTERNS:
+        plain = plain.removesuffix("PRESS")
+    for family, pattern in _PATTERNS.items():
+        match = re.fullmatch(pattern, plain, re.ASCII)
+        if match:
+            amount = float(match.group(1)) if match.groups() else 0.0
+            return Criterion(plain, family, amount)
+    check.refuse("criterion", rule, repr(name))
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A criterion's value for one model; NaN if some data cannot be predicted, and which.
+
+    Parameters
+    ----------
+    value : float
+        In the responses' unit (AIC and BIC have none).
+    undefined : int64 array
+        The data whose prediction lacks the rank.
+    """
+
+    value: float
+    undefined: Integers
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Judge:
+    """Criteria made ready for one set of data: schemes are built once and serve every model of a sweep.
+
+    Parameters
+    ----------
+    criteria : dict of str to Criterion or None
+        By name; None for a scheme that the user gave.
+    schemes : dict of str to Scheme
+        Of those criteria that have one.
+
+    Examples
+    --------
+    >>> from mexpress.criteria import Judge
+    >>> import numpy as np
+    >>> Judge.of(["fit", "ER10"], np.random.default_rng(0).uniform(size=(30, 2)))
+    Judge(FIT, ER10)
+    """
+
+    criteria: dict[str, Criterion | None]
+    schemes: dict[str, Scheme]
+
+    @classmethod
+    def of(
+        cls,
+        criteria: Sequence[str] | Mapping[str, Scheme],
+        points: Floats,
+        diagonal: float | None = None,
+        seed: Any = 0,
+        threads: int | None = None,
+    ) -> Judge:
+        """Build the schemes that criteria need.
+
+        Parameters
+        ----------
+        criteria : sequence of str, or mapping of str to Scheme
+            Names, or schemes of one's own.
+        points : (n, 2) array
+            Where the data are.
+        diagonal : float, optional
+            What ERxx is a percentage of; that of the points' bounding box if not given.
+        seed : int
+            Of the random schemes.
+        threads : int, optional
+            At most so many threads.
+        """
+        if isinstance(criteria, Mapping):
+            return cls(dict.fromkeys(criteria), dict(criteria))
+        whole = float(np.hypot(*np.ptp(points, axis=0))) if diagonal is None else diagonal
+        data = Data(points, whole, seed, threads)
+        parsed = {c.name: c for c in map(parse, criteria)}
+        made = {c.name: _scheme(c, data) for c in parsed.values() if c.family in SCHEMES}
+        return cls(dict(parsed), made)
+
+    def __repr__(self) -> str:
+        return f"Judge({', '.join(self.criteria)})"
+
+    def scores(self, model: LeastSquares, threads: int | None = None) -> dict[str, Score]:
+        """Every criterion's score of a model; all undefined if the data do not determine the model."""
+        if model.rank < len(model.coefficients):
+            lost = Score(math.nan, np.arange(model.n_data))
+            return dict.fromkeys(self.criteria, lost)
+        validated = model._cross_validate(self.schemes, threads)
+        scores = {}
+        for name, criterion in self.criteria.items():
+            if name in validated:
+                cv = validated[name]
+                pairs = self.schemes[name].validated
+                data = [pairs[pair] for pair in cv.undefined]
+                scores[name] = Score(cv.score, np.unique(np.concatenate([*data, cv.undefined[:0]])))
+            elif criterion is not None and criterion.family in FORMULAS:
+                scores[name] = Score(FORMULAS[criterion.family](model), np.zeros(0, dtype=np.int64))
+            else:
+                scores[name] = _press(model, threads)
+        return scores
+
+
+def _press(model: LeastSquares, threads: int | None) -> Score:
+    value, rows = model._press(threads)
+    return Score(value, np.unique(model._datum_of_row[rows]))
+
+
+def _scheme(criterion: Criterion, data: Data) -> Scheme:
+    try:
+        return SCHEMES[criterion.family](criterion.amount, data)
+    except ValueError as error:
+        n = len(data.points)
+        check.refuse("criteria", f"{criterion.name} must suit the data: {error}", f"{n} data")

@@ -1,0 +1,260 @@
+"""How many control points: every criterion for every number of them, and the model that one criterion chooses."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.criteria import Judge, Score, parse
+from mexpress.leastsquares import LeastSquares
+from mexpress.liftings import make_lifting
+from mexpress.placement import lloyd
+from mexpress.progress import bar
+from mexpress.schemes import Scheme
+from mexpress.warps import Warp, matched, warp_design
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Selection", "WarpSelection", "largest_count", "select_warp"]
+
+DEFAULT_CRITERIA = ("FIT", "PRESS", "CMPRESS")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Selection:
+    """Criteria against the number of control points, and what they choose.
+
+    Parameters
+    ----------
+    criterion : str
+        The criterion that selects.
+    counts : (k,) int64 array
+        Numbers of control points that were tried, increasing.
+    curves : dict of str to (k,) array
+        Every criterion's score, in the responses' unit (AIC and BIC have none); NaN where undefined.
+    undefined : dict of str to dict of int to int64 array
+        By criterion and count, the data whose prediction lacks the rank; counts without any are left out.
+    """
+
+    criterion: str
+    counts: Integers
+    curves: dict[str, Floats]
+    undefined: dict[str, dict[int, Integers]]
+
+    @property
+    def selected(self) -> dict[str, int | None]:
+        """What each criterion would choose: its smallest score's count; None if no count has a score."""
+        return {
+            name: None if np.isnan(curve).all() else int(self.counts[np.nanargmin(curve)])
+            for name, curve in self.curves.items()
+        }
+
+    @property
+    def count(self) -> int:
+        """The selected number of control points."""
+        chosen = self.selected[self.criterion]
+        if chosen is None:
+            rule = "The criterion must have a score at one count at least; fewer data held out may help."
+            check.refuse("criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on")
+        return chosen
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the criteria against the number of control points (needs the extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
+
+        return plot_selection(self, path)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WarpSelection(Selection):
+    """A warp with the number of control points that a criterion chose; see `Selection` for the other fields.
+
+    Parameters
+    ----------
+    warps : dict of int to Warp
+        The fitted warp of every count that the data determine.
+    source, target : (n, 2) array
+        The matches, in pixels.
+    image_size : tuple of float, optional
+        (width, height) of the source image in pixels.
+    """
+
+    warps: dict[int, Warp]
+    source: Floats
+    target: Floats
+    image_size: tuple[float, float] | None
+
+    @property
+    def warp(self) -> Warp:
+        """The warp with the selected number of control points."""
+        return self.warps[self.count]
+
+    def __repr__(self) -> str:
+        score = self.curves[self.criterion][self.counts == self.count][0]
+        tried = f"{self.counts[0]} to {self.counts[-1]} control points"
+        return f"WarpSelection({self.criterion} chooses {self.count} of {tried}, {self.criterion}={score:.4g})"
+
+
+def largest_count(n: int) -> int:
+    """The largest number of control points that the paper tries for n data: half of them, at most 100.
+
+    Examples
+    --------
+    >>> from mexpress.selection import largest_count
+    >>> [largest_count(n) for n in (10, 15, 30, 150, 500)]
+    [6, 7, 15, 75, 100]
+    """
+    return {10: 6, 15: 7}.get(n, min(math.floor(n / 2 + 0.5), 100))
+
+
+def select_warp(
+    source: ArrayLike,
+    target: ArrayLike,
+    criterion: str = "ER10",
+    criteria: Sequence[str] | Mapping[str, Scheme] | None = None,
+    lifting: str = "tps",
+    fractional: bool = True,
+    counts: ArrayLike | None = None,
+    placement: str = "lloyd",
+    image_size: tuple[float, float] | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> WarpSelection:
+    """Fit a warp to point matches with the number of control points that a criterion chooses.
+
+    Parameters
+    ----------
+    source, target : (n, 2) array
+        Matches, x then y, in pixels of either image; free of wrong ones.
+    criterion : str, default "ER10"
+        Which criterion selects, see `mexpress.criteria`. ER10 predicts every match with all matches within 10 % of the
+        diagonal held out, as the paper advises; no radius is right for every use, so look at several.
+    criteria : sequence of str, or mapping of str to Scheme, optional
+        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own.
+    lifting : str, default "tps"
+        The functions that bend the plane.
+    fractional : bool, default True
+        Whether the warp models perspective.
+    counts : sequence of int, optional
+        Numbers of control points to try; 3 to half the number of matches, at most 100, if not given.
+    placement : {"lloyd"}
+        How control points are spread over the region that the source points cover.
+    image_size : (width, height), optional
+        Of the source image in pixels; ERxx is a percentage of its diagonal. The source points' bounding box if
+        not given.
+    seed : int, default 0
+        Of everything random: the same seed gives the same result, whatever the number of threads.
+    threads : int, optional
+        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+    progress : bool, default False
+        Whether to show progress on the terminal.
+
+    Returns
+    -------
+    WarpSelection
+        With the warp, the curves, and what every criterion would choose.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the input is not made of finite matches that cover a region, or if the criterion is undefined at
+        every count.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> source = rng.uniform(0, 640, (60, 2))
+    >>> bend = np.column_stack([0 * source[:, 0], 8 * np.sin(source[:, 0] / 100)])
+    >>> target = 1.2 * source + bend + rng.normal(0, 0.5, source.shape)
+    >>> selection = mx.select_warp(source, target, criterion="ER05", image_size=(640, 640), counts=range(3, 20))
+    >>> selection.selected["FIT"], 6 <= selection.count < 19
+    (19, True)
+    >>> selection.warp([[320, 320]]).shape
+    (1, 2)
+    """
+    source, target = matched(source, target)
+    tried = _counts(counts, len(source))
+    size = check.image_size(image_size)
+    if placement != "lloyd":
+        check.refuse("placement", 'It must be "lloyd".', check.describe(placement))
+    diagonal = None if size is None else math.hypot(*size)
+    name, judge = _judge(criterion, criteria, source, diagonal, seed, threads)
+    scores: dict[int, dict[str, Score]] = {}
+    warps: dict[int, Warp] = {}
+    with bar(len(tried), "warp") if progress else nullcontext(lambda: None) as step:
+        for count in tried:
+            control_points = lloyd(source, count, seed, threads)
+            design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
+            model = LeastSquares(design.A, design.b, coupling=design.coupling, threads=threads)
+            scores[count] = judge.scores(model, threads)
+            if model.rank == len(model.coefficients):
+                warps[count] = design.warp(model.coefficients)
+            step()
+    selection = WarpSelection(name, *_curves(scores), warps, source, target, size)
+    _ = selection.count  # an undefined criterion is an error now, not at the first use of the result
+    return selection
+
+
+def _counts(counts: ArrayLike | None, n: int) -> list[int]:
+    """Numbers of control points to try, increasing."""
+    if counts is None:
+        if n < 4:
+            check.refuse("source", "There must be four matches at least to choose between models.", f"{n}")
+        return list(range(3, max(largest_count(n), 3) + 1))
+    tried = check.indices(list(counts) if isinstance(counts, range) else counts, "counts")
+    if tried.size == 0 or tried.min() < 3:
+        check.refuse("counts", "They must be one or more, of at least 3 control points.", check.describe(counts))
+    return sorted(tried.tolist())
+
+
+def _judge(
+    criterion: str,
+    criteria: Sequence[str] | Mapping[str, Scheme] | None,
+    points: Floats,
+    diagonal: float | None,
+    seed: Any,
+    threads: int | None,
+) -> tuple[str, Judge]:
+    """The selecting criterion's name, and a judge of it and the others."""
+    if isinstance(criteria, str):
+        check.refuse("criteria", "It must be a list of names.", repr(criteria), TypeError)
+    if isinstance(criteria, Mapping) and criterion in criteria:
+        return criterion, Judge.of(criteria, points)
+    own = criteria if isinstance(criteria, Mapping) else {}
+    names = DEFAULT_CRITERIA if criteria is None or own else tuple(criteria)
+    chosen = parse(criterion).name
+    judge = Judge.of([*names, chosen], points, diagonal, seed, threads)
+    extra = Judge.of(own, points)
+    return chosen, Judge(judge.criteria | extra.criteria, judge.schemes | extra.schemes)
+
+
+def _curves(
+    scores: Mapping[int, Mapping[str, Score]],
+) -> tuple[Integers, dict[str, Floats], dict[str, dict[int, Integers]]]:
+    """Counts, curves and undefined data, from scores by count."""
+    names = next(iter(scores.values())).keys()
+    curves = {name: np.array([by_name[name].value for by_name in scores.values()]) for name in names}
+    undefined = {
+        name: {n: by_name[name].undefined for n, by_name in scores.items() if by_name[name].undefined.size}
+        for name in names
+    }
+    return np.array(list(scores), dtype=np.int64), curves, {k: v for k, v in undefined.items() if v}
