@@ -16,6 +16,10 @@ Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
 
 
+# Squares and products of coordinates must not overflow.
+LARGEST_COORDINATE = 1e100
+
+
 def refuse(name: str, rule: str, given: str, error: type[Exception] = ValueError) -> NoReturn:
     """Raise the error that all checks share."""
     raise error(f"Invalid {name}. {rule} Given {given}.")
@@ -80,7 +84,10 @@ def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     if array.ndim != 2 or array.shape[1] != dimension or len(array) == 0:
         shape = f"(n, {dimension})" if dimension else "(n, 1), (n, 2) or (n, 3)"
         refuse(name, f"It must be points of shape {shape}, at least one.", f"shape {array.shape}")
-    return finite(array, name)
+    largest = float(np.abs(finite(array, name)).max())
+    if largest > LARGEST_COORDINATE:
+        refuse(name, f"Coordinates must not exceed {LARGEST_COORDINATE:g}.", f"{largest:g}")
+    return array
 
 
 def indices(value: ArrayLike, name: str, bound: int | None = None) -> Integers:

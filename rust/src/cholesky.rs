@@ -371,8 +371,8 @@ mod tests {
                 let right = noise(order, 7, 1.0);
                 system.start(order, 1, terms);
                 system.set_terms(|t| &x[t * order..(t + 1) * order], |_| &[]);
-                for j in 0..order {
-                    *system.entry(order, j) = right[j];
+                for (j, value) in right.iter().enumerate() {
+                    *system.entry(order, j) = *value;
                 }
                 let smallest = system.factor();
                 assert!(smallest > 0.0 && smallest <= 1.0);

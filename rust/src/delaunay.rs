@@ -76,7 +76,7 @@ fn on_one_line(distinct: &[[f64; 2]]) -> Result<bool, Error> {
 fn triangulation(distinct: &[[f64; 2]]) -> Result<DelaunayTriangulation<Point2<f64>>, Error> {
     let vertices = distinct.iter().map(|&[x, y]| Point2::new(x, y)).collect();
     // Stable: vertices keep their positions. It fails on coordinates out of range only, and these are scaled.
-    DelaunayTriangulation::bulk_load_stable(vertices).map_err(|_| Error::Index { index: 0, bound: 0 })
+    DelaunayTriangulation::bulk_load_stable(vertices).map_err(|_| Error::NotFinite { index: 0 })
 }
 
 #[cfg(test)]
@@ -247,6 +247,6 @@ mod tests {
     #[test]
     fn unusable_points_are_named() {
         assert_eq!(delaunay(&[1.0; 3]), Err(Error::Length { expected: 2, given: 3 }));
-        assert_eq!(delaunay(&[1.0, f64::INFINITY]), Err(Error::Index { index: 1, bound: 1 }));
+        assert_eq!(delaunay(&[1.0, f64::INFINITY]), Err(Error::NotFinite { index: 1 }));
     }
 }

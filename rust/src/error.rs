@@ -21,6 +21,11 @@ pub enum Error {
         /// Indices must be below this.
         bound: usize,
     },
+    /// A number that must be finite is not.
+    NotFinite {
+        /// Its place in the slice.
+        index: usize,
+    },
     /// Points of a dimension that the search trees are not built for.
     Dimension {
         /// Coordinates per point.
@@ -36,6 +41,7 @@ impl fmt::Display for Error {
             Self::Interrupted => write!(f, "interrupted"),
             Self::Length { expected, given } => write!(f, "length {given} where {expected} was expected"),
             Self::Index { index, bound } => write!(f, "index {index} is not below {bound}"),
+            Self::NotFinite { index } => write!(f, "number {index} is not finite"),
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }

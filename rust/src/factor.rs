@@ -112,9 +112,7 @@ impl Factor {
 
     /// Residuals in the responses' unit, rows x responses, row-major.
     pub fn plain_residuals(&self) -> Vec<f64> {
-        (0..self.rows)
-            .flat_map(|i| self.residual_row(i).iter().map(move |e| e * self.unweight(i)))
-            .collect()
+        (0..self.rows).flat_map(|i| self.residual_row(i).iter().map(move |e| e * self.unweight(i))).collect()
     }
 
     /// `Q^T b`, rank x responses, column-major; `residuals` still holds the responses. Summed block by block, so
@@ -147,7 +145,8 @@ impl Factor {
             return Ok(());
         }
         let basis = self.basis.chunks(ROWS * rank);
-        let parts = self.residuals.chunks_mut(ROWS * responses).zip(self.leverage.chunks_mut(ROWS)).zip(basis);
+        let parts =
+            self.residuals.chunks_mut(ROWS * responses).zip(self.leverage.chunks_mut(ROWS)).zip(basis);
         pool.run(
             parts,
             || (),
@@ -195,7 +194,11 @@ fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Err
     )?;
     Ok((0..columns)
         .map(|j| largest.iter().skip(j).step_by(columns).fold(0.0_f64, |a, &b| a.max(b)))
-        .map(|largest| if largest > 0.0 { (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2() } else { 1.0 })
+        .map(
+            |largest| {
+                if largest > 0.0 { (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2() } else { 1.0 }
+            },
+        )
         .collect())
 }
 
@@ -361,7 +364,8 @@ impl Top {
         let (rank, turn, triangle, least, inverse) = if full {
             (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
         } else {
-            let Revealed { left, triangle, inverse, values } = Revealed::new(&r, size, columns, scales, tolerance)?;
+            let Revealed { left, triangle, inverse, values } =
+                Revealed::new(&r, size, columns, scales, tolerance)?;
             (values.len(), Some(left), triangle, values.last().copied().unwrap_or(0.0), inverse)
         };
         let mut basis = vec![0.0; height * rank];
@@ -385,7 +389,9 @@ impl Top {
                 linalg::solve_upper(r, self.rank, self.rank, &mut x, responses);
                 x
             }
-            Inverse::Pseudo(inverse) => linalg::product(inverse, projection, self.columns, self.rank, responses),
+            Inverse::Pseudo(inverse) => {
+                linalg::product(inverse, projection, self.columns, self.rank, responses)
+            }
         }
     }
 }
@@ -407,7 +413,9 @@ fn unit_triangle(stack: &[f64], height: usize, size: usize, columns: usize) -> (
 }
 
 fn stack_triangle(stack: &[f64], height: usize, columns: usize) -> Vec<f64> {
-    (0..columns).flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 })).collect()
+    (0..columns)
+        .flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 }))
+        .collect()
 }
 
 /// A triangle whose rank took a singular value decomposition, cut to that rank.

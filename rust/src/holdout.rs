@@ -160,7 +160,8 @@ impl Plan {
         check_indices(pairs.rows, factor.rows)?;
         check_indices(pairs.held, pairs.rows.len())?;
         check_indices(pairs.validated, pairs.rows.len())?;
-        let rows = |sets: &Sets, s: usize| sets.get(s).iter().map(|&d| pairs.rows.get(d).len()).sum::<usize>();
+        let rows =
+            |sets: &Sets, s: usize| sets.get(s).iter().map(|&d| pairs.rows.get(d).len()).sum::<usize>();
         let held: Vec<usize> = (0..count).map(|s| rows(pairs.held, s)).collect();
         let mut offsets = vec![0; count + 1];
         for s in 0..count {

@@ -84,7 +84,7 @@ pub(crate) fn unit_scale(values: impl Iterator<Item = f64>) -> Result<f64, Error
     let mut largest = 0.0_f64;
     for (index, value) in values.enumerate() {
         if !value.is_finite() {
-            return Err(Error::Index { index, bound: index });
+            return Err(Error::NotFinite { index });
         }
         largest = largest.max(value.abs());
     }
@@ -370,6 +370,6 @@ mod tests {
         assert_eq!(nearest(&points, 3, 1, &pool(1)), Err(Error::Length { expected: 3, given: 4 }));
         assert_eq!(nearest(&points, 2, 3, &pool(1)), Err(Error::Index { index: 3, bound: 3 }));
         assert_eq!(nearest(&points, 2, 0, &pool(1)), Err(Error::Length { expected: 1, given: 0 }));
-        assert_eq!(within(&[0.0, f64::NAN], 1, 1.0, &pool(1)), Err(Error::Index { index: 1, bound: 1 }));
+        assert_eq!(within(&[0.0, f64::NAN], 1, 1.0, &pool(1)), Err(Error::NotFinite { index: 1 }));
     }
 }

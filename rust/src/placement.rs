@@ -298,7 +298,7 @@ mod tests {
         assert_eq!(lloyd(&samples, &start, 50, 9.0, &pool).unwrap(), run(&samples, &start, 1, 1));
         assert_eq!(lloyd(&[1.0], &start, 1, 0.0, &pool), Err(Error::Length { expected: 0, given: 1 }));
         let undefined = lloyd(&[1.0, f64::NAN], &start, 1, 0.0, &pool);
-        assert_eq!(undefined, Err(Error::Index { index: 1, bound: 1 }));
+        assert_eq!(undefined, Err(Error::NotFinite { index: 1 }));
         flag.store(true, std::sync::atomic::Ordering::Relaxed);
         assert_eq!(lloyd(&samples, &start, 1, 0.0, &Pool::new(1, &flag)), Err(Error::Interrupted));
     }

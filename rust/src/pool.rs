@@ -48,14 +48,14 @@ impl<'a> Pool<'a> {
                 }
             }
         };
-        if threads > 1 {
-            threads_of_this_process(threads).scope(|scope| {
+        match if threads > 1 { threads_of_this_process(threads) } else { None } {
+            Some(pool) => pool.scope(|scope| {
                 for _ in 0..threads {
                     scope.spawn(|_| worker());
                 }
-            });
-        } else if threads == 1 {
-            worker();
+            }),
+            None if threads > 0 => worker(),
+            None => {}
         }
         if self.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
     }
@@ -65,16 +65,22 @@ impl<'a> Pool<'a> {
     }
 }
 
+/// Thread pools by process and size.
+type Pools = HashMap<(u32, usize), Arc<ThreadPool>>;
+
 /// A forked child inherits this map but not the threads behind it, hence the process id in the key. Its
-/// parent's pools are kept, not dropped: dropping one would wait for threads that do not exist.
-fn threads_of_this_process(threads: usize) -> Arc<ThreadPool> {
-    static POOLS: Mutex<Option<HashMap<(u32, usize), Arc<ThreadPool>>>> = Mutex::new(None);
+/// parent's pools are kept, not dropped: dropping one would wait for threads that do not exist. None if the
+/// operating system refuses threads.
+fn threads_of_this_process(threads: usize) -> Option<Arc<ThreadPool>> {
+    static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
     let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
-    let pool = pools.get_or_insert_default().entry((std::process::id(), threads)).or_insert_with(|| {
+    let pools = pools.get_or_insert_default();
+    let key = (std::process::id(), threads);
+    if !pools.contains_key(&key) {
         let builder = ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("mexpress-{i}"));
-        Arc::new(builder.build().expect("the operating system refused a thread"))
-    });
-    Arc::clone(pool)
+        pools.insert(key, Arc::new(builder.build().ok()?));
+    }
+    pools.get(&key).cloned()
 }
 
 #[cfg(test)]
@@ -95,12 +101,16 @@ mod tests {
     fn a_set_flag_stops_the_work() {
         let flag = AtomicBool::new(false);
         let count = std::sync::atomic::AtomicUsize::new(0);
-        let result = Pool::new(2, &flag).run(0..1000, || (), |(), i| {
-            count.fetch_add(1, Ordering::Relaxed);
-            if i == 10 {
-                flag.store(true, Ordering::Relaxed);
-            }
-        });
+        let result = Pool::new(2, &flag).run(
+            0..1000,
+            || (),
+            |(), i| {
+                count.fetch_add(1, Ordering::Relaxed);
+                if i == 10 {
+                    flag.store(true, Ordering::Relaxed);
+                }
+            },
+        );
         assert_eq!(result, Err(Error::Interrupted));
         assert!(count.into_inner() < 1000);
     }

@@ -267,7 +267,5 @@ fn lloyd<'py>(
 #[pymodule(gil_used = false)]
 mod _core {
     #[pymodule_export]
-    use super::{
-        Factor, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest, neighbours_within,
-    };
+    use super::{Factor, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest, neighbours_within};
 }

@@ -156,6 +156,7 @@ impl Refit {
             return rank;
         }
         let design = linalg::product(&r, &factor.triangle, rank, rank, factor.columns);
-        linalg::thin_svd(&design, rank, factor.columns).map_or(0, |svd| numerical_rank(&svd.s, factor.tolerance))
+        linalg::thin_svd(&design, rank, factor.columns)
+            .map_or(0, |svd| numerical_rank(&svd.s, factor.tolerance))
     }
 }

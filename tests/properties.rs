@@ -1,0 +1,261 @@
+//! The mathematics as properties, checked on random problems.
+
+use std::sync::atomic::AtomicBool;
+
+use mexpress::error::Error;
+use mexpress::factor::{Factor, Problem};
+use mexpress::holdout::{Pairs, Predictions, Status};
+use mexpress::pool::Pool;
+use mexpress::scheme::Sets;
+use proptest::prelude::*;
+
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+fn pool(threads: usize) -> Pool<'static> {
+    Pool::new(threads, &NEVER)
+}
+
+/// A random weighted, penalised problem.
+#[derive(Clone, Debug)]
+struct Case {
+    rows: usize,
+    columns: usize,
+    responses: usize,
+    design: Vec<f64>,
+    targets: Vec<f64>,
+    weights: Vec<f64>,
+    penalty: Vec<f64>,
+}
+
+impl Case {
+    fn fit(&self) -> Factor {
+        self.fit_on(2)
+    }
+
+    fn fit_on(&self, threads: usize) -> Factor {
+        let roots: Vec<f64> = self.weights.iter().map(|w| w.sqrt()).collect();
+        let problem = Problem {
+            design: &self.design,
+            responses: &self.targets,
+            root_weights: Some(&roots),
+            penalty: &self.penalty,
+            rows: self.rows,
+            columns: self.columns,
+        };
+        Factor::new(&problem, &pool(threads)).unwrap()
+    }
+
+    fn keep(&self, rows: &[usize]) -> Self {
+        let pick = |values: &[f64], width: usize| {
+            rows.iter().flat_map(|&i| values[i * width..(i + 1) * width].to_vec()).collect::<Vec<_>>()
+        };
+        Self {
+            rows: rows.len(),
+            design: pick(&self.design, self.columns),
+            targets: pick(&self.targets, self.responses),
+            weights: pick(&self.weights, 1),
+            ..self.clone()
+        }
+    }
+
+    /// Residuals of `rows` under the coefficients of `fit`.
+    fn residuals(&self, fit: &Factor, rows: &[usize]) -> Vec<f64> {
+        let residual = |i: usize, c: usize| {
+            let a = &self.design[i * self.columns..(i + 1) * self.columns];
+            let x = &fit.coefficients[c * self.columns..(c + 1) * self.columns];
+            self.targets[i * self.responses + c] - a.iter().zip(x).map(|(a, x)| a * x).sum::<f64>()
+        };
+        rows.iter().flat_map(|&i| (0..self.responses).map(move |c| residual(i, c))).collect()
+    }
+}
+
+fn cases() -> impl Strategy<Value = Case> {
+    (1usize..14, 2usize..40, 1usize..4, 0usize..6).prop_flat_map(|(columns, extra, responses, penalties)| {
+        let rows = columns + extra;
+        let entries = |count| prop::collection::vec(-1.0..1.0f64, count);
+        (
+            entries(rows * columns),
+            entries(rows * responses),
+            prop::collection::vec(0.1..5.0f64, rows),
+            entries(penalties * columns),
+        )
+            .prop_map(move |(design, targets, weights, penalty)| Case {
+                rows,
+                columns,
+                responses,
+                design,
+                targets,
+                weights,
+                penalty,
+            })
+    })
+}
+
+fn singles(n: usize) -> Sets {
+    (0..n).map(|i| vec![i]).collect()
+}
+
+fn predict(fit: &Factor, held: &Sets, validated: &Sets, threads: usize) -> Predictions {
+    let rows = singles(fit.rows);
+    fit.predict(&Pairs { held, validated, rows: &rows }, &pool(threads)).unwrap()
+}
+
+fn close(a: &[f64], b: &[f64], tolerance: f64) -> bool {
+    let size = b.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
+    a.len() == b.len() && a.iter().zip(b).all(|(x, y)| (x - y).abs() <= tolerance * size)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
+
+    #[test]
+    fn the_hat_matrix_is_a_projection(case in cases()) {
+        let plain = Case { penalty: Vec::new(), ..case };
+        let fit = plain.fit();
+        let m = fit.rows;
+        let h = fit.hat_blocks(&[(0..m).collect()].into_iter().collect(), &pool(2)).unwrap();
+        let square: Vec<f64> = (0..m * m)
+            .map(|k| (0..m).map(|t| h[k / m * m + t] * h[t * m + k % m]).sum())
+            .collect();
+        prop_assert!(close(&square, &h, 1e-13));
+        prop_assert!((0..m * m).all(|k| h[k].to_bits() == h[k % m * m + k / m].to_bits()));
+        let trace: f64 = (0..m).map(|i| h[i * m + i]).sum();
+        prop_assert!((trace - fit.rank as f64).abs() < 1e-12);
+        prop_assert!(close(&fit.leverage, &(0..m).map(|i| h[i * m + i]).collect::<Vec<_>>(), 1e-15));
+    }
+
+    /// The closed form against the refit that it replaces, for sets on both sides of every method's limits.
+    #[test]
+    fn predictions_are_refits(case in cases(), seed in any::<u64>(), size in 1usize..20) {
+        let fit = case.fit();
+        let mut order: Vec<usize> = (0..case.rows).collect();
+        order.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(seed | 1));
+        let size = size.min(case.rows - 1);
+        let (mut held, training) = (order[..size].to_vec(), &order[size..]);
+        held.sort_unstable();
+        let validated: Vec<usize> = held.iter().copied().step_by(2).collect();
+        let refit = case.keep(training).fit();
+        let found = predict(&fit, &[held].into_iter().collect(), &[validated.clone()].into_iter().collect(), 1);
+        prop_assert_eq!(found.status[0] == Status::Undefined, refit.rank < fit.rank);
+        if refit.rank == fit.rank && fit.rank == case.columns {
+            // Both sides carry the conditioning of the training rows.
+            let least = refit.coefficients.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
+            prop_assert!(close(&found.residuals, &case.residuals(&refit, &validated), 1e-11 * least));
+        }
+        prop_assert_eq!(found.rows, validated);
+    }
+
+    #[test]
+    fn rows_may_come_in_any_order(case in cases()) {
+        let reversed: Vec<usize> = (0..case.rows).rev().collect();
+        let (fit, turned) = (case.fit(), case.keep(&reversed).fit());
+        prop_assert!(close(&turned.coefficients, &fit.coefficients, 1e-9));
+        let leverage: Vec<f64> = turned.leverage.iter().rev().copied().collect();
+        prop_assert!(close(&leverage, &fit.leverage, 1e-12));
+    }
+
+    #[test]
+    fn columns_may_have_any_scale(case in cases(), powers in prop::collection::vec(-120i32..120, 14)) {
+        let mut scaled = case.clone();
+        let scale = |x: &mut Vec<f64>| {
+            x.iter_mut().enumerate().for_each(|(k, x)| *x *= 10f64.powi(powers[k % case.columns]));
+        };
+        scale(&mut scaled.design);
+        scale(&mut scaled.penalty);
+        let (fit, other) = (case.fit(), scaled.fit());
+        prop_assert_eq!(fit.rank, other.rank);
+        prop_assert!(close(&other.leverage, &fit.leverage, 1e-11));
+        prop_assert!(close(&other.plain_residuals(), &fit.plain_residuals(), 1e-10));
+    }
+
+    #[test]
+    fn weights_are_replication(case in cases(), counts in prop::collection::vec(1usize..4, 60)) {
+        let whole = Case { weights: (0..case.rows).map(|i| counts[i] as f64).collect(), ..case };
+        let copies: Vec<usize> = (0..whole.rows).flat_map(|i| vec![i; counts[i]]).collect();
+        let mut replicated = whole.keep(&copies);
+        replicated.weights.fill(1.0);
+        let (fit, other) = (whole.fit(), replicated.fit());
+        prop_assert!(close(&other.coefficients, &fit.coefficients, 1e-9));
+        let held: Sets = (0..whole.rows).map(|i| (0..copies.len()).filter(|&k| copies[k] == i).collect()).collect();
+        let (one, many) = (predict(&fit, &singles(whole.rows), &singles(whole.rows), 1), predict(&other, &held, &held, 1));
+        for i in 0..whole.rows {
+            if one.status[i] == Status::Closed {
+                let r = whole.responses;
+                prop_assert!(close(
+                    &many.residuals[many.offsets[i] * r..(many.offsets[i] + 1) * r],
+                    &one.residuals[i * r..(i + 1) * r],
+                    1e-8,
+                ));
+            }
+        }
+    }
+
+    #[test]
+    fn threads_change_no_bit(case in cases()) {
+        let fits = [1, 2, 3].map(|t| case.fit_on(t));
+        let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        let held: Sets = (0..case.rows).map(|i| (i..case.rows.min(i + 4)).collect()).collect();
+        let found = fits.each_ref().map(|f| bits(&predict(f, &held, &singles(case.rows), 3).residuals));
+        for k in 1..3 {
+            prop_assert_eq!(bits(&fits[0].basis), bits(&fits[k].basis));
+            prop_assert_eq!(&found[0], &found[k]);
+        }
+    }
+}
+
+/// Tall enough for many blocks: the stacked factorisation is still orthonormal, and still the design's.
+#[test]
+fn tall_designs_keep_an_orthonormal_basis() {
+    let (rows, columns) = (9001, 11);
+    let entry = |k: usize| ((k * 7919 + k * k % 104_729) % 1000) as f64 / 500.0 - 1.0;
+    let case = Case {
+        rows,
+        columns,
+        responses: 1,
+        design: (0..rows * columns).map(entry).collect(),
+        targets: (0..rows).map(|i| entry(3 * i + 1)).collect(),
+        weights: vec![1.0; rows],
+        penalty: Vec::new(),
+    };
+    let fit = case.fit();
+    for a in 0..columns {
+        for b in 0..=a {
+            let dot: f64 = (0..rows).map(|i| fit.basis_row(i)[a] * fit.basis_row(i)[b]).sum();
+            assert!((dot - f64::from(u8::from(a == b))).abs() < 1e-13);
+        }
+    }
+    assert!(close(&fit.plain_residuals(), &case.residuals(&fit, &(0..rows).collect::<Vec<_>>()), 1e-12));
+}
+
+#[test]
+fn bad_shapes_are_errors() {
+    let mut problem = Problem {
+        design: &[1.0; 6],
+        responses: &[1.0; 3],
+        root_weights: None,
+        penalty: &[],
+        rows: 3,
+        columns: 2,
+    };
+    let fit = Factor::new(&problem, &pool(1)).unwrap();
+    let sets: Sets = [vec![3]].into_iter().collect();
+    let rows = singles(3);
+    let found = fit.predict(&Pairs { held: &sets, validated: &sets, rows: &rows }, &pool(1)).err();
+    assert_eq!(found, Some(Error::Index { index: 3, bound: 3 }));
+    problem.design = &[1.0; 5];
+    assert_eq!(Factor::new(&problem, &pool(1)).err(), Some(Error::Length { expected: 6, given: 5 }));
+}
+
+#[test]
+fn a_cancelled_pool_stops() {
+    let stop = AtomicBool::new(true);
+    let problem = Problem {
+        design: &[1.0; 6],
+        responses: &[1.0; 3],
+        root_weights: None,
+        penalty: &[],
+        rows: 3,
+        columns: 2,
+    };
+    assert_eq!(Factor::new(&problem, &Pool::new(2, &stop)).err(), Some(Error::Interrupted));
+}
