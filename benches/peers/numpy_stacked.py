@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 # Gathered bases of this many bytes are solved together: larger stacks fall out of the cache and get slower.
-STACK_BYTES = 2_000_000
+STACK_BYTES = 400_000
 
 
 class Closed:

@@ -171,10 +171,23 @@ def lloyd(
 
 
 def _convex_hull(points: Floats) -> Floats:
-    """Andrew's monotone chain."""
+    """Andrew's monotone chain, after the bulk of many points is dropped."""
+    if len(points) > 500:
+        points = _outer(points)
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
     corners = _right_turns_removed(ordered)[:-1] + _right_turns_removed(ordered[::-1])[:-1]
     return np.array(corners or ordered[:1], dtype=np.float64).reshape(-1, 2)
+
+
+def _outer(points: Floats) -> Floats:
+    """Points that are not strictly inside the polygon of the extreme ones in sixteen directions."""
+    angles = np.arange(16) * (np.pi / 8)
+    extremes = points[(points @ np.vstack([np.cos(angles), np.sin(angles)])).argmax(axis=0)]
+    corners = _convex_hull(extremes)
+    inside = np.full(len(points), len(corners) > 2)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        inside &= (bx - ax) * (points[:, 1] - ay) > (by - ay) * (points[:, 0] - ax)
+    return np.asarray(points[~inside])
 
 
 def _right_turns_removed(ordered: list[list[float]]) -> list[list[float]]:

@@ -7,7 +7,7 @@ builder returns a `Scheme`; `LeastSquares.cross_validate` scores it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _core
 from mexpress import _validation as check
-from mexpress._validation import Integers
+from mexpress._validation import Floats, Integers
 
 __all__ = [
     "IndexSets",
@@ -207,7 +207,7 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     where = check.points(points, "points", dimension=None)
     rule = "It must be a number of at least 0."
     reach = check.number(radius, "radius", rule, 0.0)
-    return _around(len(where), _core.neighbours_within(where, reach, check.threads(threads)))
+    return _around(where, lambda: _core.neighbours_within(where, reach, check.threads(threads)))
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
@@ -230,7 +230,7 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     """
     where = check.points(points, "points", dimension=None)
     k = check.count(k, "k", 1, len(where))
-    return _around(len(where), _core.neighbours_nearest(where, k, check.threads(threads)))
+    return _around(where, lambda: _core.neighbours_nearest(where, k, check.threads(threads)))
 
 
 def delaunay(points: ArrayLike) -> Scheme:
@@ -249,11 +249,17 @@ def delaunay(points: ArrayLike) -> Scheme:
     [array([0, 1]), array([0, 1, 2]), array([1, 2])]
     """
     where = check.points(points, "points")
-    return _around(len(where), _core.neighbours_delaunay(where))
+    return _around(where, lambda: _core.neighbours_delaunay(where))
 
 
-def _around(n: int, neighbourhoods: tuple[Integers, Integers]) -> Scheme:
-    return Scheme(n, IndexSets(*neighbourhoods), IndexSets.single(n))
+def _around(points: Floats, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:
+    """Validate each datum with its neighbourhood held out."""
+    n = len(points)
+    try:
+        neighbourhoods = IndexSets(*search())
+    except ValueError as error:
+        check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
+    return Scheme(n, neighbourhoods, IndexSets.single(n))
 
 
 def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -> Scheme:

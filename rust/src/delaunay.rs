@@ -4,7 +4,7 @@ use spade::{DelaunayTriangulation, Point2, Triangulation, mitigate_underflow};
 
 use crate::error::Error;
 use crate::neighbours::{places, scaled, unit_scale};
-use crate::scheme::Sets;
+use crate::scheme::{MOST_MEMBERS, Sets};
 
 /// For every point, itself, the points that coincide with it, and those at the places joined to its own by an
 /// edge of the Delaunay triangulation, sorted by index.
@@ -36,6 +36,11 @@ pub fn delaunay(points: &[f64]) -> Result<Sets, Error> {
         for &i in members.get(place) {
             place_of[i] = place;
         }
+    }
+    let size = |place: usize| members.get(place).len();
+    let joined_data = |place: usize| joined[place].iter().map(|&other| size(other)).sum::<usize>();
+    if (0..members.len()).map(|place| size(place) * joined_data(place)).sum::<usize>() > MOST_MEMBERS {
+        return Err(Error::TooMany { most: MOST_MEMBERS });
     }
     Ok(place_of.into_iter().map(|place| data_at(&joined[place], &members)).collect())
 }

@@ -26,6 +26,11 @@ pub enum Error {
         /// Its place in the slice.
         index: usize,
     },
+    /// Neighbourhoods have more members than memory should hold.
+    TooMany {
+        /// The most there may be.
+        most: usize,
+    },
     /// Points of a dimension that the search trees are not built for.
     Dimension {
         /// Coordinates per point.
@@ -42,6 +47,7 @@ impl fmt::Display for Error {
             Self::Length { expected, given } => write!(f, "length {given} where {expected} was expected"),
             Self::Index { index, bound } => write!(f, "index {index} is not below {bound}"),
             Self::NotFinite { index } => write!(f, "number {index} is not finite"),
+            Self::TooMany { most } => write!(f, "more than {most} neighbours in all"),
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }

@@ -4,12 +4,14 @@
 //! summed coordinate by coordinate, after a power of two has brought the points to unit size: that changes no
 //! comparison, except that coordinates of any finite magnitude neither overflow nor vanish.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use rstar::primitives::GeomWithData;
 use rstar::{ParentNode, Point, PointDistance, RTree, RTreeNode};
 
 use crate::error::Error;
 use crate::pool::Pool;
-use crate::scheme::Sets;
+use crate::scheme::{MOST_MEMBERS, Sets};
 
 /// Points a task looks after: enough to hide the queue, few enough to balance crowded and sparse regions.
 const CHUNK: usize = 256;
@@ -134,15 +136,23 @@ where
 {
     let tree = tree(points);
     let mut chunks = vec![Sets { offsets: vec![0], items: Vec::new() }; points.len().div_ceil(CHUNK)];
+    let total = AtomicUsize::new(0);
     let search = |(): &mut (), (sets, chunk): (&mut Sets, &[[f64; N]])| {
         for &point in chunk {
+            if total.load(Ordering::Relaxed) > MOST_MEMBERS {
+                return;
+            }
             let start = sets.items.len();
             sets.items.extend(tree.locate_within_distance(point, square).map(|found| found.data));
             sets.items[start..].sort_unstable();
             sets.offsets.push(sets.items.len());
+            total.fetch_add(sets.items.len() - start, Ordering::Relaxed);
         }
     };
     pool.run(chunks.iter_mut().zip(points.chunks(CHUNK)), || (), search)?;
+    if total.into_inner() > MOST_MEMBERS {
+        return Err(Error::TooMany { most: MOST_MEMBERS });
+    }
     Ok(joined(chunks))
 }
 
@@ -164,6 +174,9 @@ where
     // A tree of places, not of points: a query would visit every point that coincides with its own.
     let (distinct, members) = places(points);
     let tree = tree(&distinct);
+    if points.len().saturating_mul(k) > MOST_MEMBERS {
+        return Err(Error::TooMany { most: MOST_MEMBERS });
+    }
     let mut items = vec![0; points.len() * k];
     let workspace = || Search { tree: &tree, members: &members, k, found: Vec::new(), pending: Vec::new() };
     // In the order of places, so that successive searches visit the same part of the tree.

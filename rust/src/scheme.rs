@@ -1,5 +1,8 @@
 //! Lists of index sets in compressed rows.
 
+/// Neighbourhoods of more members in all than this (3 GB) are refused rather than left to exhaust the memory.
+pub const MOST_MEMBERS: usize = 400_000_000;
+
 /// Sets of indices laid end to end: set `s` is `items[offsets[s]..offsets[s + 1]]`.
 ///
 /// ```
