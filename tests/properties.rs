@@ -33,16 +33,25 @@ impl Case {
     }
 
     fn fit_on(&self, threads: usize) -> Factor {
+        self.with_problem(|problem| Factor::new(problem, &pool(threads)).unwrap())
+    }
+
+    fn with_problem<T>(&self, use_it: impl FnOnce(&Problem<'_>) -> T) -> T {
         let roots: Vec<f64> = self.weights.iter().map(|w| w.sqrt()).collect();
-        let problem = Problem {
+        use_it(&Problem {
             design: &self.design,
             responses: &self.targets,
             root_weights: Some(&roots),
             penalty: &self.penalty,
             rows: self.rows,
             columns: self.columns,
-        };
-        Factor::new(&problem, &pool(threads)).unwrap()
+        })
+    }
+
+    fn predict(&self, fit: &Factor, held: &Sets, validated: &Sets, threads: usize) -> Predictions {
+        let rows = singles(fit.rows);
+        let pairs = Pairs { held, validated, rows: &rows };
+        self.with_problem(|problem| fit.predict(problem, &pairs, &pool(threads)).unwrap())
     }
 
     fn keep(&self, rows: &[usize]) -> Self {
@@ -95,11 +104,6 @@ fn singles(n: usize) -> Sets {
     (0..n).map(|i| vec![i]).collect()
 }
 
-fn predict(fit: &Factor, held: &Sets, validated: &Sets, threads: usize) -> Predictions {
-    let rows = singles(fit.rows);
-    fit.predict(&Pairs { held, validated, rows: &rows }, &pool(threads)).unwrap()
-}
-
 fn close(a: &[f64], b: &[f64], tolerance: f64) -> bool {
     let size = b.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
     a.len() == b.len() && a.iter().zip(b).all(|(x, y)| (x - y).abs() <= tolerance * size)
@@ -135,7 +139,7 @@ proptest! {
         held.sort_unstable();
         let validated: Vec<usize> = held.iter().copied().step_by(2).collect();
         let refit = case.keep(training).fit();
-        let found = predict(&fit, &[held].into_iter().collect(), &[validated.clone()].into_iter().collect(), 1);
+        let found = case.predict(&fit, &[held].into_iter().collect(), &[validated.clone()].into_iter().collect(), 1);
         prop_assert_eq!(found.status[0] == Status::Undefined, refit.rank < fit.rank);
         if refit.rank == fit.rank && fit.rank == case.columns {
             // Both sides carry the conditioning of the training rows.
@@ -177,7 +181,7 @@ proptest! {
         let (fit, other) = (whole.fit(), replicated.fit());
         prop_assert!(close(&other.coefficients, &fit.coefficients, 1e-9));
         let held: Sets = (0..whole.rows).map(|i| (0..copies.len()).filter(|&k| copies[k] == i).collect()).collect();
-        let (one, many) = (predict(&fit, &singles(whole.rows), &singles(whole.rows), 1), predict(&other, &held, &held, 1));
+        let (one, many) = (whole.predict(&fit, &singles(whole.rows), &singles(whole.rows), 1), replicated.predict(&other, &held, &held, 1));
         for i in 0..whole.rows {
             if one.status[i] == Status::Closed {
                 let r = whole.responses;
@@ -195,7 +199,7 @@ proptest! {
         let fits = [1, 2, 3].map(|t| case.fit_on(t));
         let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         let held: Sets = (0..case.rows).map(|i| (i..case.rows.min(i + 4)).collect()).collect();
-        let found = fits.each_ref().map(|f| bits(&predict(f, &held, &singles(case.rows), 3).residuals));
+        let found = fits.each_ref().map(|f| bits(&case.predict(f, &held, &singles(case.rows), 3).residuals));
         for k in 1..3 {
             prop_assert_eq!(bits(&fits[0].basis), bits(&fits[k].basis));
             prop_assert_eq!(&found[0], &found[k]);
@@ -240,7 +244,7 @@ fn bad_shapes_are_errors() {
     let fit = Factor::new(&problem, &pool(1)).unwrap();
     let sets: Sets = [vec![3]].into_iter().collect();
     let rows = singles(3);
-    let found = fit.predict(&Pairs { held: &sets, validated: &sets, rows: &rows }, &pool(1)).err();
+    let found = fit.predict(&problem, &Pairs { held: &sets, validated: &sets, rows: &rows }, &pool(1)).err();
     assert_eq!(found, Some(Error::Index { index: 3, bound: 3 }));
     problem.design = &[1.0; 5];
     assert_eq!(Factor::new(&problem, &pool(1)).err(), Some(Error::Length { expected: 6, given: 5 }));

@@ -138,9 +138,9 @@ def test_splines_with_a_nearly_empty_cell_against_extended_precision(exponent):
 @needs_longdouble
 @pytest.mark.parametrize("distance", 10.0 ** -np.arange(1, 13))
 def test_training_rows_close_to_rank_loss(distance):
-    # Without the last two rows, the second column is seen at `distance` of its length alone. Every entry is given
-    # to full precision and what is left to fit is well conditioned once its columns have unit length, so that a
-    # refit is accurate: 1e-9 is a fair demand.
+    # Without the last two rows, the second column is seen at `distance` of its length alone. Every entry is
+    # given to full precision, and what is left to fit is well conditioned once its columns have unit length:
+    # a refit is accurate, so 1e-9 is a fair demand.
     rng = np.random.default_rng(0)
     A = np.column_stack([np.ones(20), distance * rng.normal(size=20)])
     A[-2:, 1] = [1.0, -2.0]
@@ -165,8 +165,8 @@ def refits(A, b, kept, held):
 @needs_longdouble
 @pytest.mark.parametrize(("order", "c"), [(10, 0.3), (20, 0.3), (30, 0.3), (60, 0.15), (60, 0.2)])
 def test_pivots_that_hide_the_conditioning(order, c):
-    # Kahan's triangle: no pivot of its Gram matrix is small though its smallest singular value is. The training
-    # rows are that triangle, whose condition lets a refit keep ten digits.
+    # Kahan's triangle: no pivot of its Gram matrix is small though its smallest singular value is. The
+    # training rows are that triangle, whose condition lets a refit keep ten digits.
     s = np.sqrt(1 - c * c)
     R = np.diag(s ** np.arange(order)) @ (np.eye(order) - c * np.triu(np.ones((order, order)), 1))
     R *= 0.999 / np.linalg.norm(R, 2)

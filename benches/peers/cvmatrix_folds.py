@@ -1,11 +1,12 @@
 """cvmatrix: training Gram matrices by subtraction, then a solve.
 
-Its `Partitioner` cuts data into disjoint folds. ``training_XTX_XTY`` takes any set of rows, though, so overlapping
-sets are possible without it, and nothing is lost in speed: the partitioner is a dictionary of index arrays.
+Its `Partitioner` cuts data into disjoint folds. ``training_XTX_XTY`` takes any set of rows, though, so sets may
+overlap without it, and nothing is lost in speed: the partitioner is a dictionary of index arrays.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from cvmatrix.cvmatrix import CVMatrix
@@ -35,10 +36,11 @@ class Folds:
         self.model.fit(self.X, b)
 
     def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict the validated rows of every pair, in order."""
         work = self._stacked if self.stacked else self._looped
         held_out, validated = list(held_out), list(validated)
         cuts = np.linspace(0, len(held_out), self.workers + 1).astype(int)
-        pieces = [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        pieces = [slice(a, b) for a, b in pairwise(cuts)]
         if self.workers == 1:
             return work(held_out, validated)
         with ThreadPoolExecutor(self.workers) as pool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Closed:
         self.workers = workers
 
     def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict the validated rows of every pair, in order."""
         return np.concatenate(_shared(self._some, list(held_out), list(validated), self.workers))
 
     def _some(self, held_out: list[np.ndarray], validated: list[np.ndarray]) -> list[np.ndarray]:
@@ -25,7 +27,7 @@ class Closed:
 
 
 class Looped(Closed):
-    """A pair at a time, in the smaller of the two spaces; symmetric products, as ``K.T @ K`` is one in numpy."""
+    """A pair at a time, in the smaller of the two spaces; numpy takes ``K.T @ K`` for symmetric."""
 
     def _some(self, held_out: list[np.ndarray], validated: list[np.ndarray]) -> list[np.ndarray]:
         Q, e, p = self.Q, self.e, self.Q.shape[1]
@@ -85,7 +87,7 @@ def _shared(
     if workers == 1:
         return work(held_out, validated)
     cuts = np.linspace(0, len(held_out), workers + 1).astype(int)
-    pieces = [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    pieces = [slice(a, b) for a, b in pairwise(cuts)]
     with ThreadPoolExecutor(workers) as pool:
         parts = pool.map(lambda piece: work(held_out[piece], validated[piece]), pieces)
         return [e for part in parts for e in part]

@@ -14,6 +14,7 @@ class Refit:
         self.A, self.b = A, b
 
     def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict the validated rows of every pair, in order."""
         predicted = []
         for K, T in zip(held_out, validated, strict=True):
             x = np.linalg.lstsq(np.delete(self.A, K, axis=0), np.delete(self.b, K), rcond=None)[0]
@@ -34,6 +35,7 @@ class Sklearn:
         self.X, self.b = A[:, 1:], b
 
     def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict the validated rows of every pair, in order."""
         every = np.arange(len(self.b))
         splits = [(np.setdiff1d(every, K), T) for K, T in zip(held_out, validated, strict=True)]
         found = self.b - cross_val_predict(LinearRegression(), self.X, self.b, cv=splits)

@@ -1,4 +1,4 @@
-"""One tall problem in a process of its own: what it takes, as a line of JSON. See `versus.py`, which starts it.
+"""One tall problem in a process of its own: what it takes, as a line of JSON. `versus.py` starts it.
 
 Usage: ``python tall.py mexpress|numpy ROWS COLUMNS THREADS``
 """

@@ -1,4 +1,4 @@
-from typing import Any, TypeAlias, final
+from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,14 @@ _Floats: TypeAlias = NDArray[np.float64]
 _Integers: TypeAlias = NDArray[np.int64]
 _Sets: TypeAlias = tuple[_Integers, _Integers]
 
-__all__: list[str]
+__all__ = [
+    "Factor",
+    "find_not_finite",
+    "lloyd",
+    "neighbours_delaunay",
+    "neighbours_nearest",
+    "neighbours_within",
+]
 
 @final
 class Factor:
@@ -36,6 +43,4 @@ def find_not_finite(values: _Floats) -> tuple[int, int] | None: ...
 def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ...
 def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...
 def neighbours_delaunay(points: _Floats) -> _Sets: ...
-def lloyd(
-    samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int
-) -> _Floats: ...
+def lloyd(samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int) -> _Floats: ...

@@ -37,7 +37,7 @@ def real(value: ArrayLike, name: str) -> Floats:
     """Float64 array in C order; of real numbers, without masked entries."""
     rule = "It must be an array of real numbers."
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
-        refuse(name, rule, f"{np.ma.count_masked(value)} masked entries")
+        refuse(name, rule, f"{np.ma.getmaskarray(value).sum()} masked entries")
     try:
         array = np.asarray(value)
     except (ValueError, TypeError):

@@ -7,6 +7,7 @@ the input are one line on standard error and exit status 2.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import re
 import sys
@@ -228,9 +229,9 @@ def _read_image(path: Path) -> Any:
         from skimage.io import imread  # noqa: PLC0415  an extra, imported where used
     except ImportError as error:
         raise ImportError("Reading images needs scikit-image: pip install 'mexpress[image]'") from error
-    path.open("rb").close()  # the reader's own errors about missing files vary
+    content = path.read_bytes()  # readers leave files open that they do not understand
     try:
-        image = imread(path)
+        image = np.asarray(imread(io.BytesIO(content)))
     except Exception as error:  # whatever the reader of this format raises
         check.refuse("image", "It must be a file that scikit-image reads.", f"{path}: {error}")
     if image.ndim not in (2, 3):
@@ -281,7 +282,7 @@ def _print_warp(selection: WarpSelection, health: dict[str, Any]) -> None:
         f"{name} {'undefined' if error is None else f'{error:.3g}'}"
         for name, error in health["transfer_error"].items()
     )
-    print(f"Error at the matches, in pixels: {errors}.")
+    print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
     if selection.count == counts[-1] and len(counts) > 1:
         _note(f"{selection.count} is the largest number tried: more may be better, see --counts.")
     _note_undefined(selection)

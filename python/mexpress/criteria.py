@@ -147,9 +147,8 @@ def parse(name: str) -> Criterion:
     >>> parse("KF05")
     Criterion(name='KF05', family='KF', amount=5.0)
     """
-    rule = (
-        "It must be one of FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, LPOxx, RSxxPCT, AIC, BIC, GCV."
-    )
+    families = "FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, LPOxx, RSxxPCT, AIC, BIC, GCV"
+    rule = f"It must be one of {families}."
     if not isinstance(name, str):
         check.refuse("criterion", rule, check.describe(name), TypeError)
     plain = name.strip().upper()
@@ -159,6 +158,8 @@ def parse(name: str) -> Criterion:
         match = re.fullmatch(pattern, plain, re.ASCII)
         if match:
             amount = float(match.group(1)) if match.groups() else 0.0
+            if not math.isfinite(amount):
+                break
             return Criterion(plain, family, amount)
     check.refuse("criterion", rule, repr(name))
 

@@ -177,7 +177,7 @@ class LeastSquares:
         NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
         """
         value, lost = self._press(None)
-        _warn(lost, len(self.leverage), "row")
+        _warn(lost, len(self.leverage), "rows", "the first is row")
         return value
 
     def _press(self, threads: int | None) -> tuple[float, Integers]:
@@ -211,7 +211,8 @@ class LeastSquares:
         order = check.indices(rows, "rows", m)
         sets = IndexSets.of([order])
         found = self._predict(Scheme(m, sets, sets), IndexSets.single(m), None)
-        _warn(found.undefined, 1, "set")
+        if len(found.undefined):
+            warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return found.residuals[np.argsort(np.argsort(order))]
 
     def hat_blocks(self, sets: IndexSets | None = None, *, threads: int | None = None) -> list[Floats]:
@@ -239,10 +240,12 @@ class LeastSquares:
         """
         kept = self._coupling if sets is None else sets
         if not isinstance(kept, IndexSets):
-            check.refuse("sets", "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
+            check.refuse(
+                "sets", "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError
+            )
         check.indices(np.unique(kept.indices), "sets", len(self.leverage))
         flat = self._factor.hat_blocks((kept.offsets, kept.indices), check.threads(threads))
-        parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1])
+        parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1]) if len(kept) else []
         return [part.reshape(q, q) for part, q in zip(parts, kept.sizes, strict=True)]
 
     def cross_validate(self, scheme: Scheme, threads: int | None = None) -> CrossValidation:
@@ -274,7 +277,7 @@ class LeastSquares:
             rule = "It must come from mexpress.schemes."
             check.refuse("scheme", rule, check.describe(scheme), TypeError)
         found = self._cross_validate({"": scheme}, threads)[""]
-        _warn(found.undefined, len(scheme), "pair")
+        _warn(found.undefined, len(scheme), "pairs", "the attribute 'undefined' of the result lists them, the first is")
         return found
 
     def _cross_validate(
@@ -301,7 +304,7 @@ class LeastSquares:
         lost = whole.undefined[(whole.undefined >= first) & (whole.undefined < last)] - first
         residuals, rows = whole.residuals[a:b], whole.rows[a:b]
         weights = None if self._row_weights is None else self._row_weights[rows]
-        score = _root_mean(residuals, weights, float(self._share_of_row(rows).sum()))
+        score = np.nan if len(lost) else _root_mean(residuals, weights, float(self._share_of_row(rows).sum()))
         return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
 
     def _predict(self, scheme: Scheme, coupling: IndexSets, threads: int | None) -> CrossValidation:
@@ -385,10 +388,7 @@ def _penalise(penalty: ArrayLike, p: int) -> Floats:
     return check.finite(extra, "penalty")
 
 
-def _warn(lost: Integers, total: int, what: str) -> None:
+def _warn(lost: Integers, total: int, what: str, where: str) -> None:
     if len(lost):
-        text = (
-            f"{len(lost)} of {total} {what}s lose rank when held out, so there is no score: the attribute "
-            f"'undefined' of the result lists them, the first is {lost[0]}."
-        )
+        text = f"{len(lost)} of {total} {what} lose rank when held out, so there is no score: {where} {lost[0]}."
         warnings.warn(RankLossWarning(text), stacklevel=3)

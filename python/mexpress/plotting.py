@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.reports import UNITLESS
+from mexpress.selection import Selection, WarpSelection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from mexpress.selection import WarpSelection
     from mexpress.warps import Warp
 
 __all__ = ["plot_registration", "plot_selection", "plot_warp"]
@@ -43,7 +43,7 @@ PathLike = str | os.PathLike[str]
 Extent = tuple[float, float, float, float]
 
 
-def plot_selection(selection: WarpSelection, path: PathLike | None = None) -> Figure:
+def plot_selection(selection: Selection, path: PathLike | None = None) -> Figure:
     """Plot every criterion against the number of control points, and what each would select.
 
     AIC and BIC have no unit: they are shifted and scaled onto FIT (or the chosen criterion, if there is no
@@ -51,8 +51,8 @@ def plot_selection(selection: WarpSelection, path: PathLike | None = None) -> Fi
 
     Parameters
     ----------
-    selection : WarpSelection
-        Result of `select_warp`.
+    selection : Selection
+        Result of a sweep, such as `select_warp`.
     path : str or path, optional
         Where to save the figure; the suffix says how (.png, .pdf, .svg).
 
@@ -86,16 +86,17 @@ def plot_selection(selection: WarpSelection, path: PathLike | None = None) -> Fi
         _emphasise(axes, lines[0], selection.selected[name], name == selection.criterion)
     _set_scale(axes, curves, selection.criterion)
     axes.set_xlabel("number of control points")
-    axes.set_ylabel("criterion (pixels of the target image)")
+    unit = "pixels of the target image" if isinstance(selection, WarpSelection) else "unit of the data"
+    axes.set_ylabel(f"criterion ({unit})")
     axes.set_title(f"{selection.criterion} selects {selection.count} control points", loc="left")
     axes.grid(alpha=0.25, lw=0.6)
     figure.legend(loc="outside right upper", frameon=False, title="criterion: what it selects")
     return _saved(figure, path)
 
 
-def _label(selection: WarpSelection, name: str, anchor: str) -> str:
+def _label(selection: Selection, name: str, anchor: str) -> str:
     best = selection.selected[name]
-    note = f"\n(shifted and scaled onto {anchor})" if name in UNITLESS and anchor != name else ""
+    note = f" (scaled onto {anchor})" if name in UNITLESS and anchor != name else ""
     return f"{name}: {'none' if best is None else best}{note}"
 
 
@@ -192,7 +193,8 @@ def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike |
     """
     source, target = check.points(source, "source"), check.points(target, "target")
     predicted, lines = warp(source), _grid_lines(warp)
-    figure = _figure(12.0, 5.0)
+    wide, high = np.ptp(source, axis=0)
+    figure = _figure(12.0, float(np.clip(5.6 * high / max(wide, 1e-9) + 1.1, 3.0, 10.0)))
     left, right = figure.subplots(1, 2)
     for axes, curves, points in ((left, lines, source), (right, [warp(line) for line in lines], target)):
         for curve in curves:
@@ -201,11 +203,12 @@ def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike |
     left.plot(*source.T, ".", color=_BLUE, ms=3, label=f"{len(source)} matches")
     left.plot(*warp.control_points.T, "P", color=_CHOSEN, ms=8, mec="white", label=_control_points(warp))
     left.set_title("source image", loc="left")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, frameon=False)
+    figure.legend(loc="outside lower left", ncols=2, frameon=False)
     factor = _draw_errors(right, predicted, target)
-    rms = float(np.sqrt(np.nanmean(((target - predicted) ** 2).sum(axis=1))))
-    right.set_title(f"target image, with the warped grid; RMS error {rms:.3g} pixels", loc="left")
-    right.set_xlabel(f"arrows: errors at the matches, {factor:g} times as long")
+    rms = float(np.sqrt(((target - predicted) ** 2).sum(axis=1).mean()))
+    right.set_title("target image, with the warped grid", loc="left")
+    size = "in their true length" if factor == 1 else f"{factor:g} times as long"
+    right.set_xlabel(f"arrows: errors at the matches, {size}; RMS {rms:.3g} pixels")
     return _saved(figure, path)
 
 
@@ -266,19 +269,20 @@ def plot_registration(
     pulled = _sampled(second, (found - (target_step - 1) / 2) / target_step).reshape(
         first.shape[:2] + second.shape[2:]
     )
-    figure = _figure(15.0, 15.0 / 3 * first.shape[0] / first.shape[1] + 1.2)
-    panels = figure.subplots(1, 3)
+    figure = _figure(15.0, min(4.3 * first.shape[0] / first.shape[1] + 1.0, 15.0))
+    panels = figure.subplots(1, 3, sharey=True)
     shown = (_gray_behind(first), _gray_behind(pulled), _blended(first, pulled))
     names = ("source", "target, pulled into the source's frame", "source magenta, target green")
     extent = _extent(first, step)
     for axes, image, name in zip(panels, shown, names, strict=True):
         axes.imshow(image, extent=extent, interpolation="nearest", vmin=0, vmax=1, cmap="gray")
-        axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", color=_YELLOW, lw=1)
+        axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", color=_YELLOW, lw=1.2)
         axes.set_title(name, loc="left")
         axes.set(xlim=extent[:2], ylim=extent[2:])
     _draw_matches(panels[0], warp, source, target)
     for axes in panels[1:]:
         _paint_failures(axes, warp, extent)
+    _legend_below(figure)
     return _saved(figure, path)
 
 
@@ -286,11 +290,15 @@ def _draw_matches(axes: Axes, warp: Warp, source: ArrayLike | None, target: Arra
     if source is not None and target is not None:
         source, target = check.points(source, "source"), check.points(target, "target")
         errors = np.hypot(*(target - warp(source)).T)
-        top = float(np.nanpercentile(errors, 98))
+        known = errors[np.isfinite(errors)]
+        top = float(np.percentile(known, 98)) if known.size else 0.0
         dots = axes.scatter(source[:, 0], source[:, 1], c=errors, s=7, cmap="viridis", vmin=0, vmax=top or 1)
-        axes.figure.colorbar(dots, ax=axes, label="error (pixels)", shrink=0.8, extend="max")
-    axes.plot(*warp.control_points.T, "P", color=_CHOSEN, ms=8, mec="white", label=_control_points(warp))
-    _legend_below(axes)
+        # An inset is as tall as the image, which a colour bar with axes of its own is not.
+        beside = axes.inset_axes((1.015, 0, 0.025, 1))
+        axes.figure.colorbar(dots, cax=beside, label="error (pixels)", extend="max")
+    axes.plot(
+        *warp.control_points.T, "P", color=_CHOSEN, ms=6, mec="white", mew=0.7, label=_control_points(warp)
+    )
 
 
 def _paint_failures(axes: Axes, warp: Warp, extent: Extent) -> None:
@@ -312,12 +320,15 @@ def _paint_failures(axes: Axes, warp: Warp, extent: Extent) -> None:
             layer[..., 3] = 0.6 * mask.reshape(len(y), len(x))
             axes.imshow(layer, extent=extent, interpolation="nearest")
             axes.plot([], [], "s", color=colour, alpha=0.6, label=name)
-    axes.plot([], [], "--", color="#B8A900", lw=1.5, label="region of the matches")
-    _legend_below(axes)
+    axes.plot([], [], "--", color=_YELLOW, lw=1.5, label="region of the matches")
 
 
-def _legend_below(axes: Axes) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, frameon=False, fontsize="small")
+def _legend_below(figure: Figure) -> None:
+    """One legend for all panels, each label once."""
+    entries = (axes.get_legend_handles_labels() for axes in figure.axes)
+    handles = {label: handle for entry in entries for handle, label in zip(*entry, strict=True)}
+    legend = figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    legend.get_frame().set(facecolor="0.8", edgecolor="none")  # on white, yellow is not seen
 
 
 def _control_points(warp: Warp) -> str:
@@ -352,9 +363,12 @@ def _crossings(corners: Floats, across: int, at: float) -> tuple[float, float]:
 
 def _draw_errors(axes: Axes, predicted: Floats, target: Floats) -> float:
     """Draw errors as arrows, and return how much longer than the errors they are."""
-    errors = target - predicted
-    usual = float(np.nanpercentile(np.hypot(*errors.T), 90))
-    factor = _round_number(0.03 * float(np.hypot(*np.ptp(target, axis=0))) / usual) if usual > 0 else 1.0
+    known = np.isfinite(predicted).all(axis=1)
+    errors, predicted = (target - predicted)[known], predicted[known]
+    usual = float(np.percentile(np.hypot(*errors.T), 90)) if known.any() else 0.0
+    size = float(np.hypot(*np.ptp(target, axis=0)))
+    # Rounding errors are not worth magnifying.
+    factor = _round_number(0.03 * size / usual) if usual > 1e-9 * size else 1.0
     axes.quiver(
         *predicted.T, *(factor * errors).T, angles="xy", scale_units="xy", scale=1, color=_BLUE, width=0.0016
     )

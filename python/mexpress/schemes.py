@@ -134,7 +134,8 @@ def join(schemes: Sequence[Scheme]) -> Scheme:
     def joined(sets: Sequence[IndexSets]) -> IndexSets:
         sizes = np.concatenate([s.sizes for s in sets])
         return IndexSets(
-            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), np.concatenate([s.indices for s in sets])
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            np.concatenate([s.indices for s in sets]),
         )
 
     return Scheme(

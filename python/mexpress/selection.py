@@ -65,7 +65,9 @@ class Selection:
         chosen = self.selected[self.criterion]
         if chosen is None:
             rule = "The criterion must have a score at one count at least; fewer data held out may help."
-            check.refuse("criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on")
+            check.refuse(
+                "criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on"
+            )
         return chosen
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -108,7 +110,9 @@ class WarpSelection(Selection):
     def __repr__(self) -> str:
         score = self.curves[self.criterion][self.counts == self.count][0]
         tried = f"{self.counts[0]} to {self.counts[-1]} control points"
-        return f"WarpSelection({self.criterion} chooses {self.count} of {tried}, {self.criterion}={score:.4g})"
+        return (
+            f"WarpSelection({self.criterion} chooses {self.count} of {tried}, {self.criterion}={score:.4g})"
+        )
 
 
 def largest_count(n: int) -> int:
@@ -222,7 +226,9 @@ def _counts(counts: ArrayLike | None, n: int) -> list[int]:
         return list(range(3, max(largest_count(n), 3) + 1))
     tried = check.indices(list(counts) if isinstance(counts, range) else counts, "counts")
     if tried.size == 0 or tried.min() < 3:
-        check.refuse("counts", "They must be one or more, of at least 3 control points.", check.describe(counts))
+        check.refuse(
+            "counts", "They must be one or more, of at least 3 control points.", check.describe(counts)
+        )
     return sorted(tried.tolist())
 
 

@@ -96,7 +96,7 @@ impl Bordered {
             } else {
                 let (kept, skipped) = (order.max(first) - first, first.max(order) - order);
                 for (t, column) in columns.enumerate() {
-                    let tail = &border(t)[skipped..];
+                    let tail = border(t).get(skipped..).unwrap_or_default();
                     let given = tail.len().min(PANEL - kept);
                     column[..kept].copy_from_slice(&head(t)[first.min(order)..order]);
                     column[kept..kept + given].copy_from_slice(&tail[..given]);
@@ -134,15 +134,24 @@ impl Bordered {
         Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
     }
 
-    /// `L^T z = y` with y the forward solve of border row `row`: unknowns `from..order`.
-    pub fn back_solve(&mut self, row: usize, from: usize) -> &[f64] {
+    /// Squared length of the forward solve of border row `row`.
+    pub fn forward_square(&self, row: usize) -> f64 {
+        self.forward(row).map(|y| y * y).sum()
+    }
+
+    fn forward(&self, row: usize) -> impl Iterator<Item = f64> {
         let Shape { order, terms, .. } = self.shape;
         let row = order + row;
         let at = self.skip + row / PANEL * self.shape.stride() + terms * PANEL + row % PANEL;
-        self.solution.fill(0.0);
-        for (y, border) in self.solution[..order].iter_mut().zip(self.storage[at..].iter().step_by(PANEL)) {
-            *y = *border;
-        }
+        self.storage[at..].iter().step_by(PANEL).take(order).copied()
+    }
+
+    /// `L^T z = y` with y the forward solve of border row `row`: unknowns `from..order`.
+    pub fn back_solve(&mut self, row: usize, from: usize) -> &[f64] {
+        let order = self.shape.order;
+        let mut solution = std::mem::take(&mut self.solution);
+        solution.iter_mut().zip(self.forward(row)).for_each(|(z, y)| *z = y);
+        self.solution = solution;
         self.back_substitute(from);
         &self.solution[from..order]
     }

@@ -36,6 +36,11 @@ pub enum Error {
         /// Coordinates per point.
         given: usize,
     },
+    /// The problem is not the one that was factored.
+    Changed {
+        /// A row whose residual is no longer what it was.
+        row: usize,
+    },
     /// A singular value decomposition did not converge.
     NoConvergence,
 }
@@ -49,6 +54,7 @@ impl fmt::Display for Error {
             Self::NotFinite { index } => write!(f, "number {index} is not finite"),
             Self::TooMany { most } => write!(f, "more than {most} neighbours in all"),
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
+            Self::Changed { row } => write!(f, "row {row} has changed since the factorisation"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }
     }

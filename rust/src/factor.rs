@@ -25,6 +25,26 @@ pub struct Problem<'a> {
     pub columns: usize,
 }
 
+impl Problem<'_> {
+    /// Row `i` of `[A; Z]`, and the root of its weight.
+    fn row(&self, i: usize) -> (&[f64], f64) {
+        let p = self.columns;
+        match i.checked_sub(self.rows) {
+            None => (&self.design[i * p..(i + 1) * p], self.root_weights.map_or(1.0, |w| w[i])),
+            Some(i) => (&self.penalty[i * p..(i + 1) * p], 1.0),
+        }
+    }
+
+    fn check(&self) -> Result<usize, Error> {
+        expect_length(self.design.len(), self.rows * self.columns)?;
+        expect_length(self.penalty.len() % self.columns.max(1), 0)?;
+        let responses = self.responses.len() / self.rows.max(1);
+        expect_length(self.responses.len(), self.rows * responses)?;
+        self.root_weights.map_or(Ok(()), |weights| expect_length(weights.len(), self.rows))?;
+        Ok(responses)
+    }
+}
+
 /// A fitted problem, ready for any held-out set.
 pub struct Factor {
     /// Rows of the design.
@@ -35,6 +55,8 @@ pub struct Factor {
     pub responses: usize,
     /// Rank of the design with its penalty rows.
     pub rank: usize,
+    /// Rows of the design and of the penalty.
+    pub(crate) total_rows: usize,
     /// Q, row-major, `rank` wide: an orthonormal basis of the weighted design's columns, penalty rows last.
     pub basis: Vec<f64>,
     /// `Q^T A` with A's columns at unit length: rank x columns, column-major. Tells rank from rounding.
@@ -43,6 +65,8 @@ pub struct Factor {
     pub(crate) least: f64,
     /// Below this, relative to the largest, a singular value is rounding.
     pub(crate) tolerance: f64,
+    /// What brings columns to unit length.
+    scales: Vec<f64>,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
@@ -57,16 +81,10 @@ impl Factor {
     /// Factors and fits.
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let Problem { rows, columns, .. } = *problem;
-        expect_length(problem.design.len(), rows * columns)?;
-        expect_length(problem.penalty.len() % columns.max(1), 0)?;
-        let responses = problem.responses.len() / rows.max(1);
-        expect_length(problem.responses.len(), rows * responses)?;
-        if let Some(weights) = problem.root_weights {
-            expect_length(weights.len(), rows)?;
-        }
+        let responses = problem.check()?;
         let scales = column_scales(problem, pool)?;
         let leaves = Leaves::factor(problem, &scales, pool)?;
-        let top = Top::new(&leaves)?;
+        let top = Top::new(&leaves, pool)?;
         let total = leaves.rows;
         let basis = leaves.basis(&top, pool)?;
         let mut factor = Self {
@@ -74,10 +92,12 @@ impl Factor {
             columns,
             responses,
             rank: top.rank,
+            total_rows: total,
             basis,
             triangle: Vec::new(),
             least: top.least,
             tolerance: top.tolerance,
+            scales: Vec::new(),
             coefficients: Vec::new(),
             residuals: weighted_responses(problem, responses),
             // The penalty rows' leverage is dropped at the end.
@@ -90,6 +110,7 @@ impl Factor {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
         }
         factor.triangle = top.triangle;
+        factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
         factor.judge(&projection, pool)?;
         factor.leverage.truncate(rows);
         Ok(factor)
@@ -103,6 +124,39 @@ impl Factor {
     /// Weighted residuals of row `i`.
     pub(crate) fn residual_row(&self, i: usize) -> &[f64] {
         &self.residuals[i * self.responses..(i + 1) * self.responses]
+    }
+
+    /// Row `i` of the problem in coordinates in which it has full rank, then its right-hand side. Those of A are the
+    /// best: the basis is good to rounding of the largest entries only, which small training rows feel.
+    pub(crate) fn full_rank_row(
+        &self,
+        problem: &Problem<'_>,
+        i: usize,
+        out: &mut [f64],
+    ) -> Result<(), Error> {
+        let (left, right) = out.split_at_mut(self.rank);
+        if self.rank < self.columns {
+            left.copy_from_slice(self.basis_row(i));
+            right.copy_from_slice(self.residual_row(i));
+            return Ok(());
+        }
+        let (row, weight) = problem.row(i);
+        for ((x, a), scale) in left.iter_mut().zip(row).zip(&self.scales) {
+            *x = a * scale * weight;
+        }
+        for (c, x) in right.iter_mut().enumerate() {
+            *x = problem.responses.get(i * self.responses + c).map_or(0.0, |b| b * weight);
+            let coefficients = &self.coefficients[c * self.columns..(c + 1) * self.columns];
+            let (fit, size) = row.iter().zip(coefficients).fold((0.0, 0.0), |(sum, size), (a, z)| {
+                let term = a * z * weight;
+                (sum + term, size + f64::abs(term))
+            });
+            let now = *x - fit;
+            if f64::abs(now - self.residual_row(i)[c]) > 1e-6 * (size + x.abs()) {
+                return Err(Error::Changed { row: i });
+            }
+        }
+        Ok(())
     }
 
     /// What brings row `i` back from weighted to plain units.
@@ -240,7 +294,8 @@ impl Leaves {
                 let height = a.len() / columns;
                 load(problem, scales, i * block, a, height);
                 let h = &mut h[..linalg::reflector_size(height, columns)];
-                linalg::qr_in_place(a, height, columns, h, scratch);
+                // Once called off, nobody reads the result.
+                let _ = linalg::qr_in_place(a, height, columns, h, scratch, pool);
             },
         )?;
         Ok(Self { storage, reflectors, rows, columns, block })
@@ -290,8 +345,10 @@ impl Leaves {
                     target[kept..].fill(0.0);
                 }
                 let h = &h[..linalg::reflector_size(height, columns)];
-                linalg::apply_q(a, height, columns, h, c, rank, scratch);
-                for (k, row) in a.chunks_exact_mut(columns).enumerate() {
+                let _ = linalg::apply_q(a, (height, columns), h, c, scratch, pool);
+                for (k, row) in
+                    a.chunks_exact_mut(columns).enumerate().take(if rank > 0 { height } else { 0 })
+                {
                     row.iter_mut().zip(c[k..].iter().step_by(height)).for_each(|(q, &c)| *q = c);
                 }
             },
@@ -308,15 +365,8 @@ impl Leaves {
 
 /// Rows `first..` of `[W^1/2 A; Z]` with scaled columns, column-major.
 fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [f64], height: usize) {
-    let columns = problem.columns;
     for k in 0..height {
-        let i = first + k;
-        let (row, weight) = if i < problem.rows {
-            (&problem.design[i * columns..(i + 1) * columns], problem.root_weights.map_or(1.0, |w| w[i]))
-        } else {
-            let i = i - problem.rows;
-            (&problem.penalty[i * columns..(i + 1) * columns], 1.0)
-        };
+        let (row, weight) = problem.row(first + k);
         for ((j, a), scale) in row.iter().enumerate().zip(scales) {
             block[j * height + k] = a * scale * weight;
         }
@@ -330,6 +380,7 @@ struct Top {
     /// Orthonormal columns that the leaves' reflections turn into the basis; height x rank.
     basis: Vec<f64>,
     height: usize,
+    scales: Vec<f64>,
     triangle: Vec<f64>,
     least: f64,
     tolerance: f64,
@@ -345,7 +396,7 @@ enum Inverse {
 }
 
 impl Top {
-    fn new(leaves: &Leaves) -> Result<Self, Error> {
+    fn new(leaves: &Leaves, pool: &Pool<'_>) -> Result<Self, Error> {
         let columns = leaves.columns;
         let (mut stack, height) = leaves.stack();
         let size = height.min(columns);
@@ -353,7 +404,7 @@ impl Top {
         let mut reflectors = vec![0.0; linalg::reflector_size(height, columns)];
         let mut scratch = QrScratch::new(height, columns);
         if many {
-            linalg::qr_in_place(&mut stack, height, columns, &mut reflectors, &mut scratch);
+            linalg::qr_in_place(&mut stack, height, columns, &mut reflectors, &mut scratch, pool)?;
         }
         let (r, scales) = unit_triangle(&stack, height, size, columns);
         let tolerance = leaves.rows.max(columns) as f64 * f64::EPSILON;
@@ -365,7 +416,7 @@ impl Top {
             (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
         } else {
             let Revealed { left, triangle, inverse, values } =
-                Revealed::new(&r, size, columns, scales, tolerance)?;
+                Revealed::new(&r, size, columns, &scales, tolerance)?;
             (values.len(), Some(left), triangle, values.last().copied().unwrap_or(0.0), inverse)
         };
         let mut basis = vec![0.0; height * rank];
@@ -376,9 +427,9 @@ impl Top {
             }
         }
         if many {
-            linalg::apply_q(&stack, height, columns, &reflectors, &mut basis, rank, &mut scratch);
+            linalg::apply_q(&stack, (height, columns), &reflectors, &mut basis, &mut scratch, pool)?;
         }
-        Ok(Self { rank, columns, basis, height, triangle, least, tolerance, inverse })
+        Ok(Self { rank, columns, basis, height, scales, triangle, least, tolerance, inverse })
     }
 
     /// Least-squares coefficients (columns x responses); of least norm, columns at unit length, when rank is lost.
@@ -429,7 +480,7 @@ struct Revealed {
 
 impl Revealed {
     /// Decides as `numpy.linalg.matrix_rank` does.
-    fn new(r: &[f64], size: usize, columns: usize, scales: Vec<f64>, tolerance: f64) -> Result<Self, Error> {
+    fn new(r: &[f64], size: usize, columns: usize, scales: &[f64], tolerance: f64) -> Result<Self, Error> {
         let linalg::Svd { u: mut left, s: mut values, v } = linalg::thin_svd(r, size, columns)?;
         let rank = numerical_rank(&values, tolerance);
         left.truncate(size * rank);

@@ -6,17 +6,22 @@
 //! determine the model: such a pair is refitted from its training rows, which decides its rank, see [`crate::refit`].
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::{Factor, expect_length};
+use crate::factor::{Factor, Problem, expect_length};
 use crate::linalg::{self, dot};
 use crate::pool::Pool;
 use crate::refit::Refit;
 use crate::scheme::Sets;
 
-/// Below this pivot the closed form may lose more than nine digits: its error is about eps / lambda_min(M).
-const SAFE_PIVOT: f64 = 1e-4;
+/// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with ten digits: its
+/// error is about eps / lambda_min(M).
+const SAFE: f64 = 1e-4;
+
+/// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
+const PROBES: usize = 2;
 
 /// Hat matrices are kept whole up to this many rows (72 MB).
 const HAT_ROWS: usize = 3000;
@@ -57,13 +62,19 @@ pub struct Predictions {
 }
 
 impl Factor {
-    /// Predicts the validated rows of every pair with its held-out rows left out of the fit.
-    pub fn predict(&self, pairs: &Pairs<'_>, pool: &Pool<'_>) -> Result<Predictions, Error> {
+    /// Predicts the validated rows of every pair with its held-out rows left out of the fit. `problem` is the one that
+    /// was factored: pairs close to rank loss go back to it.
+    pub fn predict(
+        &self,
+        problem: &Problem<'_>,
+        pairs: &Pairs<'_>,
+        pool: &Pool<'_>,
+    ) -> Result<Predictions, Error> {
         let plan = Plan::new(self, pairs, pool)?;
         let count = pairs.held.len();
         let mut residuals = vec![f64::NAN; plan.offsets[count] * self.responses];
-        let mut status = vec![Status::Closed; count];
-        let hat = &plan.hat;
+        let mut status = vec![None; count];
+        let hat = plan.hat.as_deref();
         pool.run(
             plan.chunks(&mut residuals, &mut status, self.responses, pool.threads()).into_iter(),
             || Workspace::new(self, &plan),
@@ -73,12 +84,49 @@ impl Factor {
                     workspace.gather(pairs, pair);
                     let (out, after) = rest.split_at_mut(workspace.validated * self.responses);
                     rest = after;
-                    *status = workspace.solve(self, hat.as_deref(), out);
+                    *status = workspace.solve(self, hat, out);
                 }
             },
         )?;
+        self.rescue(problem, pairs, &plan, &mut residuals, &mut status, pool)?;
+        let status = status.into_iter().map(|s| s.unwrap_or(Status::Undefined)).collect();
         let rows = (0..count).flat_map(|s| pairs.validated.get(s)).flat_map(|&d| pairs.rows.get(d)).copied();
         Ok(Predictions { residuals, rows: rows.collect(), offsets: plan.offsets, status })
+    }
+
+    /// The pairs that the closed form left, each a task of its own: they cost far more than the others.
+    fn rescue(
+        &self,
+        problem: &Problem<'_>,
+        pairs: &Pairs<'_>,
+        plan: &Plan,
+        residuals: &mut [f64],
+        status: &mut [Option<Status>],
+        pool: &Pool<'_>,
+    ) -> Result<(), Error> {
+        let mut rest = residuals;
+        let mut tasks = Vec::new();
+        for (pair, status) in status.iter_mut().enumerate() {
+            let size = (plan.offsets[pair + 1] - plan.offsets[pair]) * self.responses;
+            let (out, after) = rest.split_at_mut(size);
+            rest = after;
+            if status.is_none() {
+                tasks.push((pair, status, out));
+            }
+        }
+        let failure = OnceLock::new();
+        pool.run(
+            tasks.into_iter(),
+            || Workspace::new(self, plan),
+            |workspace, (pair, status, out)| {
+                workspace.gather(pairs, pair);
+                match workspace.rescue(self, problem, pool, out) {
+                    Ok(found) => *status = Some(found),
+                    Err(error) => drop(failure.set(error)),
+                }
+            },
+        )?;
+        failure.into_inner().map_or(Ok(()), Err)
     }
 
     /// The blocks `H_KK` of the hat matrix for sets of rows: each row-major, one after another.
@@ -150,7 +198,7 @@ struct Plan {
 struct Chunk<'a> {
     pairs: Range<usize>,
     residuals: &'a mut [f64],
-    status: &'a mut [Status],
+    status: &'a mut [Option<Status>],
 }
 
 impl Plan {
@@ -186,7 +234,7 @@ impl Plan {
     fn chunks<'a>(
         &self,
         mut residuals: &'a mut [f64],
-        mut status: &'a mut [Status],
+        mut status: &'a mut [Option<Status>],
         responses: usize,
         threads: usize,
     ) -> Vec<Chunk<'a>> {
@@ -220,9 +268,10 @@ impl Workspace {
     fn new(factor: &Factor, plan: &Plan) -> Self {
         let mut system = Bordered::default();
         let (q, p) = (plan.largest, factor.rank);
+        let border = factor.responses + PROBES;
         let dual = q.min(if plan.hat.is_some() { q } else { p });
-        system.reserve(dual, factor.responses, if plan.hat.is_some() { 0 } else { p });
-        system.reserve(p, factor.responses, q);
+        system.reserve(dual, border, if plan.hat.is_some() { 0 } else { p });
+        system.reserve(p, border, q);
         Self { system, rows: Vec::with_capacity(q), validated: 0, refit: Refit::default() }
     }
 
@@ -242,14 +291,14 @@ impl Workspace {
         self.validated = self.rows.len() - others;
     }
 
-    /// Writes the prediction residuals of the validated rows.
-    fn solve(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> Status {
+    /// Writes the prediction residuals of the validated rows, or none if the pair is too close to rank loss.
+    fn solve(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> Option<Status> {
         let q = self.rows.len();
-        if factor.basis.len() / factor.rank.max(1) < factor.rank + q {
-            return Status::Undefined;
+        if factor.total_rows < factor.rank + q {
+            return Some(Status::Undefined);
         }
-        let smallest = match (q, hat) {
-            (0, _) => return Status::Closed,
+        let least = match (q, hat) {
+            (0, _) => return Some(Status::Closed),
             (1, _) => self.unrolled::<1>(factor, out),
             (2, _) => self.unrolled::<2>(factor, out),
             (3, _) => self.unrolled::<3>(factor, out),
@@ -258,19 +307,56 @@ impl Workspace {
                 if dual <= primal { self.dual(factor, hat, out) } else { self.primal(factor, out) }
             }
         };
-        let status = if smallest >= SAFE_PIVOT { Status::Closed } else { self.rescue(factor, out) };
-        let validated = &self.rows[q - self.validated..];
+        if least < SAFE {
+            return None;
+        }
+        self.unweight(factor, out);
+        Some(Status::Closed)
+    }
+
+    fn rescue(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        out: &mut [f64],
+    ) -> Result<Status, Error> {
+        out.fill(f64::NAN);
+        let least = self.primal_factor(factor);
+        let Self { system, rows, validated, refit, .. } = self;
+        let status = refit.predict(factor, problem, pool, (system, least), (rows, *validated), out)?;
+        self.unweight(factor, out);
+        Ok(status)
+    }
+
+    fn unweight(&self, factor: &Factor, out: &mut [f64]) {
+        let validated = &self.rows[self.rows.len() - self.validated..];
         for (e, &row) in out.chunks_exact_mut(factor.responses).zip(validated) {
             e.iter_mut().for_each(|e| *e *= factor.unweight(row));
         }
-        status
     }
 
-    /// A pair too close to rank loss for the closed form alone.
-    fn rescue(&mut self, factor: &Factor, out: &mut [f64]) -> Status {
-        out.fill(f64::NAN);
-        let smallest = self.primal_factor(factor);
-        self.refit.predict(factor, &mut self.system, smallest, &self.rows, self.validated, out)
+    /// Begins a system with a border of right-hand sides and probes.
+    fn start(&mut self, order: usize, responses: usize, terms: usize) {
+        self.system.start(order, responses + PROBES, terms);
+        for probe in 0..PROBES {
+            for j in 0..order {
+                *self.system.entry(order + responses + probe, j) = sign(probe, j);
+            }
+        }
+    }
+
+    /// Factors, and estimates the smallest eigenvalue from above. Pivots alone can hide it (Kahan's triangles), so random
+    /// signs d ride along: `d^T M^-1 d` is about 1 / lambda_min once that is small.
+    fn factor(&mut self, order: usize, responses: usize) -> f64 {
+        let smallest = self.system.factor();
+        if smallest <= 0.0 {
+            return 0.0;
+        }
+        let probe = |k| self.system.forward_square(responses + k) - 10.0 * order as f64;
+        (0..PROBES)
+            .map(probe)
+            .fold(smallest, |least, grown| if grown > 0.0 { least.min(grown.recip()) } else { least })
     }
 
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
@@ -305,7 +391,7 @@ impl Workspace {
 
     fn dual(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> f64 {
         let (q, responses) = (self.rows.len(), factor.responses);
-        self.system.start(q, responses, if hat.is_some() { 0 } else { factor.rank });
+        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank });
         for (i, &row) in self.rows.iter().enumerate() {
             match hat {
                 None => self.system.set_row(i, factor.basis_row(row)),
@@ -320,29 +406,28 @@ impl Workspace {
             }
         }
         self.system.clear_rows(q);
-        let smallest = self.system.factor();
-        if smallest >= SAFE_PIVOT {
+        let least = self.factor(q, responses);
+        if least >= SAFE {
             for c in 0..responses {
                 let z = self.system.back_solve(c, q - self.validated);
                 out.iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
             }
         }
-        smallest
+        least
     }
 
     fn primal_factor(&mut self, factor: &Factor) -> f64 {
-        self.system.start(factor.rank, factor.responses, self.rows.len());
+        self.start(factor.rank, factor.responses, self.rows.len());
         let rows = &self.rows;
         self.system.set_terms(|t| factor.basis_row(rows[t]), |t| factor.residual_row(rows[t]));
-        self.system.factor()
+        self.factor(factor.rank, factor.responses)
     }
 
     fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
         let responses = factor.responses;
-        let smallest = self.primal_factor(factor);
-        let rows = &self.rows;
-        if smallest >= SAFE_PIVOT {
-            let validated = &rows[rows.len() - self.validated..];
+        let least = self.primal_factor(factor);
+        if least >= SAFE {
+            let validated = &self.rows[self.rows.len() - self.validated..];
             for c in 0..responses {
                 // The border came out as -L^-1 Q_K^T e_K.
                 let z = self.system.back_solve(c, 0);
@@ -351,6 +436,12 @@ impl Workspace {
                 }
             }
         }
-        smallest
+        least
     }
+}
+
+/// The j-th of a fixed sequence of signs that no structure of a design knows of.
+fn sign(probe: usize, j: usize) -> f64 {
+    let mixed = ((j * PROBES + probe + 1) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    if (mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 63 == 0 { 1.0 } else { -1.0 }
 }

@@ -57,7 +57,8 @@
 //! };
 //! let fit = Factor::new(&problem, &pool)?;
 //! let alone: Sets = (0..3).map(|i| vec![i]).collect();
-//! let found = fit.predict(&Pairs { held: &alone, validated: &alone, rows: &alone }, &pool)?;
+//! let pairs = Pairs { held: &alone, validated: &alone, rows: &alone };
+//! let found = fit.predict(&problem, &pairs, &pool)?;
 //! assert!((found.residuals[2] - 4.5).abs() < 1e-12);
 //! # Ok::<(), mexpress::error::Error>(())
 //! ```

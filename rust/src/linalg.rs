@@ -7,14 +7,18 @@ use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::householder::{
     apply_block_householder_sequence_on_the_left_in_place_scratch as apply_scratch,
     apply_block_householder_sequence_on_the_left_in_place_with_conj as apply_reflectors,
+    apply_block_householder_sequence_transpose_on_the_left_in_place_scratch as transposed_scratch,
+    apply_block_householder_sequence_transpose_on_the_left_in_place_with_conj as apply_transposed,
 };
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::qr::no_pivoting::factor as qr;
 use faer::linalg::{svd, triangular_inverse, triangular_solve};
+use faer::reborrow::{Reborrow, ReborrowMut};
 use faer::{Accum, Conj, Mat, MatMut, MatRef, Par};
 
 use crate::error::Error;
+use crate::pool::Pool;
 
 /// Sum of products, in eight running sums so that it vectorises.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -40,7 +44,8 @@ impl QrScratch {
         let block = block_size(rows, columns);
         let factor = qr::qr_in_place_scratch::<f64>(rows, columns, block, Par::Seq, Default::default());
         let apply = apply_scratch::<f64>(rows, block, columns);
-        Self { memory: MemBuffer::new(StackReq::any_of(&[factor, apply])) }
+        let transposed = transposed_scratch::<f64>(rows, block, columns);
+        Self { memory: MemBuffer::new(StackReq::any_of(&[factor, apply, transposed])) }
     }
 }
 
@@ -53,6 +58,9 @@ pub fn reflector_size(rows: usize, columns: usize) -> usize {
     block_size(rows, columns) * rows.min(columns)
 }
 
+/// Columns factored, or multiplied, between two looks at whether the work has been called off.
+const PANEL: usize = 128;
+
 /// Householder QR: R replaces the upper triangle of `a`, the reflectors the rest and `reflectors`.
 pub fn qr_in_place(
     a: &mut [f64],
@@ -60,36 +68,49 @@ pub fn qr_in_place(
     columns: usize,
     reflectors: &mut [f64],
     scratch: &mut QrScratch,
-) {
+    pool: &Pool<'_>,
+) -> Result<(), Error> {
     let block = block_size(rows, columns);
-    qr::qr_in_place(
-        MatMut::from_column_major_slice_mut(a, rows, columns),
-        MatMut::from_column_major_slice_mut(reflectors, block, rows.min(columns)),
-        Par::Seq,
-        MemStack::new(&mut scratch.memory),
-        Default::default(),
-    );
+    let size = rows.min(columns);
+    let mut a = MatMut::from_column_major_slice_mut(a, rows, columns);
+    let mut h = MatMut::from_column_major_slice_mut(reflectors, block, size);
+    let stack = MemStack::new(&mut scratch.memory);
+    // Panels of whole blocks leave the reflectors as one call would.
+    let step = PANEL.next_multiple_of(block);
+    for first in (0..size).step_by(step) {
+        let width = step.min(size - first);
+        let (mut panel, mut rest) = a.rb_mut().get_mut(first.., first..).split_at_col_mut(width);
+        let mut h = h.rb_mut().subcols_mut(first, width);
+        qr::qr_in_place(panel.rb_mut(), h.rb_mut(), Par::Seq, stack, Default::default());
+        for at in (0..rest.ncols()).step_by(PANEL) {
+            pool.proceed()?;
+            let count = PANEL.min(rest.ncols() - at);
+            let target = rest.rb_mut().subcols_mut(at, count);
+            apply_transposed(panel.rb(), h.rb(), Conj::No, target, Par::Seq, stack);
+        }
+    }
+    Ok(())
 }
 
-/// `c <- Q c` for the Q of [`qr_in_place`], `c` of `rows` x `width`, width at most `columns`.
+/// `c <- Q c` for the Q of [`qr_in_place`], `c` of `rows` x `width`.
 pub fn apply_q(
     a: &[f64],
-    rows: usize,
-    columns: usize,
+    (rows, columns): (usize, usize),
     reflectors: &[f64],
     c: &mut [f64],
-    width: usize,
     scratch: &mut QrScratch,
-) {
-    let block = block_size(rows, columns);
-    apply_reflectors(
-        MatRef::from_column_major_slice(a, rows, columns).subcols(0, rows.min(columns)),
-        MatRef::from_column_major_slice(reflectors, block, rows.min(columns)),
-        Conj::No,
-        MatMut::from_column_major_slice_mut(c, rows, width),
-        Par::Seq,
-        MemStack::new(&mut scratch.memory),
-    );
+    pool: &Pool<'_>,
+) -> Result<(), Error> {
+    let (block, size) = (block_size(rows, columns), rows.min(columns));
+    let basis = MatRef::from_column_major_slice(a, rows, columns).subcols(0, size);
+    let h = MatRef::from_column_major_slice(reflectors, block, size);
+    for part in c.chunks_mut(rows * PANEL) {
+        pool.proceed()?;
+        let width = part.len() / rows;
+        let c = MatMut::from_column_major_slice_mut(part, rows, width);
+        apply_reflectors(basis, h, Conj::No, c, Par::Seq, MemStack::new(&mut scratch.memory));
+    }
+    Ok(())
 }
 
 /// Singular value decomposition `U diag(s) V^T`, the values in decreasing order.
@@ -207,19 +228,21 @@ mod tests {
 
     #[test]
     fn q_times_r_is_the_matrix() {
-        for (rows, columns) in [(1, 1), (5, 3), (3, 5), (40, 33), (300, 130)] {
+        let never = std::sync::atomic::AtomicBool::new(false);
+        let pool = Pool::new(1, &never);
+        for (rows, columns) in [(1, 1), (5, 3), (3, 5), (40, 33), (300, 130), (400, 390), (200, 450)] {
             let a = matrix(rows, columns);
             let size = rows.min(columns);
             let (mut f, mut h) = (a.clone(), vec![0.0; reflector_size(rows, columns)]);
             let mut scratch = QrScratch::new(rows, columns);
-            qr_in_place(&mut f, rows, columns, &mut h, &mut scratch);
+            qr_in_place(&mut f, rows, columns, &mut h, &mut scratch, &pool).unwrap();
             let mut r = vec![0.0; rows * columns];
             for j in 0..columns {
                 for i in 0..size.min(j + 1) {
                     r[j * rows + i] = f[j * rows + i];
                 }
             }
-            apply_q(&f, rows, columns, &h, &mut r, columns, &mut scratch);
+            apply_q(&f, (rows, columns), &h, &mut r, &mut scratch, &pool).unwrap();
             assert!(close(&r, &a), "{rows} x {columns}");
         }
     }

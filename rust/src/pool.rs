@@ -48,7 +48,8 @@ impl<'a> Pool<'a> {
                 }
             }
         };
-        match if threads > 1 { threads_of_this_process(threads) } else { None } {
+        // A pool for each number that is asked for, not for each number of tasks: pools stay.
+        match if threads > 1 { threads_of_this_process(self.threads) } else { None } {
             Some(pool) => pool.scope(|scope| {
                 for _ in 0..threads {
                     scope.spawn(|_| worker());
@@ -57,6 +58,11 @@ impl<'a> Pool<'a> {
             None if threads > 0 => worker(),
             None => {}
         }
+        self.proceed()
+    }
+
+    /// An error once the work has been called off; long tasks ask now and then.
+    pub fn proceed(&self) -> Result<(), Error> {
         if self.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
     }
 

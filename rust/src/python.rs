@@ -99,53 +99,94 @@ fn table<'py>(py: Python<'py>, values: Vec<f64>, rows: usize, columns: usize) ->
     PyArray1::from_vec(py, values).reshape([rows, columns])
 }
 
-/// A fitted least-squares problem.
+/// A fitted least-squares problem. Keeps the caller's arrays, not copies: pairs close to rank loss go back to them.
 #[pyclass(frozen, module = "mexpress._core")]
-struct Factor(crate::factor::Factor);
+struct Factor {
+    fit: crate::factor::Factor,
+    design: Py<PyArray2<f64>>,
+    responses: Py<PyArray2<f64>>,
+    root_weights: Option<Py<PyArray1<f64>>>,
+    penalty: Py<PyArray2<f64>>,
+}
+
+/// The arrays of a problem, borrowed for one call.
+struct Held<'py> {
+    design: PyReadonlyArray2<'py, f64>,
+    responses: PyReadonlyArray2<'py, f64>,
+    root_weights: Option<PyReadonlyArray1<'py, f64>>,
+    penalty: PyReadonlyArray2<'py, f64>,
+}
+
+impl<'py> Held<'py> {
+    fn new(
+        design: &Array2<'py, f64>,
+        responses: &Array2<'py, f64>,
+        root_weights: Option<&Array1<'py, f64>>,
+        penalty: &Array2<'py, f64>,
+    ) -> PyResult<Self> {
+        Ok(Self {
+            design: design.try_readonly()?,
+            responses: responses.try_readonly()?,
+            root_weights: root_weights.map(|w| w.try_readonly()).transpose()?,
+            penalty: penalty.try_readonly()?,
+        })
+    }
+
+    fn problem(&self) -> PyResult<Problem<'_>> {
+        Ok(Problem {
+            design: matrix(&self.design)?,
+            responses: matrix(&self.responses)?,
+            root_weights: self.root_weights.as_ref().map(slice).transpose()?,
+            penalty: matrix(&self.penalty)?,
+            rows: self.design.shape()[0],
+            columns: self.design.shape()[1],
+        })
+    }
+}
 
 #[pymethods]
 impl Factor {
     #[new]
-    fn new(
-        py: Python<'_>,
-        design: PyReadonlyArray2<'_, f64>,
-        responses: PyReadonlyArray2<'_, f64>,
-        root_weights: Option<PyReadonlyArray1<'_, f64>>,
-        penalty: PyReadonlyArray2<'_, f64>,
+    fn new<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        root_weights: Option<Array1<'py, f64>>,
+        penalty: Array2<'py, f64>,
         threads: usize,
     ) -> PyResult<Self> {
-        let (rows, columns) = (design.shape()[0], design.shape()[1]);
-        let problem = Problem {
-            design: matrix(&design)?,
-            responses: matrix(&responses)?,
-            root_weights: root_weights.as_ref().map(slice).transpose()?,
-            penalty: matrix(&penalty)?,
-            rows,
-            columns,
-        };
-        let cost = 2.0 * (rows * columns * columns) as f64;
-        interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool)).map(Self)
+        let held = Held::new(&design, &responses, root_weights.as_ref(), &penalty)?;
+        let problem = held.problem()?;
+        let cost = 2.0 * (problem.rows * problem.columns * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
+        Ok(Self {
+            fit,
+            design: design.unbind(),
+            responses: responses.unbind(),
+            root_weights: root_weights.map(Bound::unbind),
+            penalty: penalty.unbind(),
+        })
     }
 
     #[getter]
     fn rank(&self) -> usize {
-        self.0.rank
+        self.fit.rank
     }
 
     #[getter]
     fn coefficients<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
-        let transposed = table(py, self.0.coefficients.clone(), self.0.responses, self.0.columns)?;
+        let transposed = table(py, self.fit.coefficients.clone(), self.fit.responses, self.fit.columns)?;
         transposed.transpose()
     }
 
     #[getter]
     fn residuals<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
-        table(py, self.0.plain_residuals(), self.0.rows, self.0.responses)
+        table(py, self.fit.plain_residuals(), self.fit.rows, self.fit.responses)
     }
 
     #[getter]
     fn leverage<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
-        PyArray1::from_slice(py, &self.0.leverage)
+        PyArray1::from_slice(py, &self.fit.leverage)
     }
 
     /// (residuals, rows, offsets, undefined) of the pairs.
@@ -160,15 +201,18 @@ impl Factor {
     ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
         let (held, validated, rows) =
             (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
-        let p = self.0.rank as f64;
-        let q = held.items.len() as f64 * self.0.rows as f64 / rows.len().max(1) as f64;
-        let cost = q * p * p / 2.0 + held.len() as f64 * p * p * p / 6.0;
+        // At worst every pair is refitted.
+        let cost = 2.0 * held.len() as f64 * (self.fit.rows * self.fit.rank * self.fit.rank) as f64;
         let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
-        let found = interruptible(py, cost, threads, |pool| self.0.predict(&pairs, pool))?;
+        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
+        let arrays =
+            Held::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))?;
+        let problem = arrays.problem()?;
+        let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;
         let lost = found.status.iter().enumerate().filter(|(_, s)| **s == Status::Undefined).map(|(i, _)| i);
         let count = found.rows.len();
         Ok((
-            table(py, found.residuals, count, self.0.responses)?,
+            table(py, found.residuals, count, self.fit.responses)?,
             indices(py, &found.rows),
             indices(py, &found.offsets),
             indices(py, &lost.collect::<Vec<_>>()),
@@ -184,8 +228,8 @@ impl Factor {
     ) -> PyResult<Array1<'py, f64>> {
         let rows = sets(&rows.0, &rows.1)?;
         let squares: f64 = (0..rows.len()).map(|s| (rows.get(s).len() as f64).powi(2)).sum();
-        let cost = squares * self.0.rank as f64;
-        let blocks = interruptible(py, cost, threads, |pool| self.0.hat_blocks(&rows, pool))?;
+        let cost = squares * self.fit.rank as f64;
+        let blocks = interruptible(py, cost, threads, |pool| self.fit.hat_blocks(&rows, pool))?;
         Ok(PyArray1::from_vec(py, blocks))
     }
 }

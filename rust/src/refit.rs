@@ -6,23 +6,26 @@
 //! the training rows by Householder reflections, which sees rank down to rounding.
 
 use crate::cholesky::Bordered;
-use crate::factor::{Factor, numerical_rank};
+use crate::error::Error;
+use crate::factor::{Factor, Problem, numerical_rank};
 use crate::holdout::Status;
 use crate::linalg::{self, QrScratch, dot};
+use crate::pool::Pool;
 
 /// Training rows reduced at a time.
 const ROWS: usize = 512;
 
-/// Refinement needs a factor that contracts the error: eps over this is a thousandth.
-const REFINABLE_PIVOT: f64 = 1e-10;
+/// Refinement needs a lambda_min(M) at which the factor still contracts the error, and the basis has its digits.
+const REFINABLE: f64 = 1e-10;
 
 /// Workspace; allocated at the first pair that needs it.
 #[derive(Default)]
 pub struct Refit {
     held: Vec<bool>,
     change: Vec<f64>,
+    row: Vec<f64>,
     gradient: Vec<f64>,
-    /// A block of rows of `[Q | e]` under the triangle of those before, column-major.
+    /// A block of training rows under the triangle of those before, column-major.
     block: Vec<f64>,
     reflectors: Vec<f64>,
     scratch: Option<QrScratch>,
@@ -30,45 +33,61 @@ pub struct Refit {
 
 impl Refit {
     /// Predicts without `rows`, and writes the weighted residuals of the last `validated` of them. `system` holds the
-    /// factor of M, and `smallest` is its smallest pivot.
+    /// factor of M, and `least` estimates lambda_min(M).
     pub(crate) fn predict(
         &mut self,
         factor: &Factor,
-        system: &mut Bordered,
-        smallest: f64,
-        rows: &[usize],
-        validated: usize,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        (system, least): (&mut Bordered, f64),
+        (rows, validated): (&[usize], usize),
         out: &mut [f64],
-    ) -> Status {
-        self.held.resize(factor.basis.len() / factor.rank, false);
+    ) -> Result<Status, Error> {
+        self.held.resize(factor.total_rows, false);
         rows.iter().for_each(|&i| self.held[i] = true);
         self.change.clear();
         self.change.resize(factor.rank * factor.responses, 0.0);
-        let status = if smallest > REFINABLE_PIVOT && self.certain(factor) && self.refine(factor, system) {
+        self.row.resize(factor.rank + factor.responses, 0.0);
+        let kept = &rows[rows.len() - validated..];
+        let status = if least > REFINABLE && self.certain(factor) && self.refine(factor, system) {
+            self.write(out, factor, kept, |row, out| {
+                out[..factor.rank].copy_from_slice(factor.basis_row(row));
+                out[factor.rank..].copy_from_slice(factor.residual_row(row));
+                Ok(())
+            })?;
             Status::Refined
-        } else if self.reduce(factor, rows.len()) {
+        } else if self.reduce(factor, problem, pool, rows.len())? {
+            self.write(out, factor, kept, |row, out| factor.full_rank_row(problem, row, out))?;
             Status::Refitted
         } else {
             Status::Undefined
         };
         rows.iter().for_each(|&i| self.held[i] = false);
-        if status == Status::Undefined {
-            return status;
-        }
-        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&rows[rows.len() - validated..]) {
-            for ((e, fit), change) in
-                e.iter_mut().zip(factor.residual_row(row)).zip(self.change.chunks_exact(factor.rank))
-            {
-                *e = fit - dot(factor.basis_row(row), change);
-            }
-        }
-        status
+        Ok(status)
     }
 
-    /// Whether pivots that can be refined leave no doubt of the training rows' rank. Their singular values are at least
-    /// those of the design times the square root of lambda_min(M), which is allowed a hundredth of the pivot.
+    /// Residuals of rows, given in the coordinates of `change` with their right-hand sides behind.
+    fn write(
+        &mut self,
+        out: &mut [f64],
+        factor: &Factor,
+        rows: &[usize],
+        fetch: impl Fn(usize, &mut [f64]) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
+            fetch(row, &mut self.row)?;
+            let (left, right) = self.row.split_at(factor.rank);
+            for ((e, b), change) in e.iter_mut().zip(right).zip(self.change.chunks_exact(factor.rank)) {
+                *e = b - dot(left, change);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether what can be refined leaves no doubt of the training rows' rank. Their singular values are at least those of
+    /// the design times the square root of lambda_min(M), which is allowed a hundredth of its estimate.
     fn certain(&self, factor: &Factor) -> bool {
-        let bound = factor.least * (REFINABLE_PIVOT / 100.0).sqrt();
+        let bound = factor.least * (REFINABLE / 100.0).sqrt();
         bound > factor.tolerance * (factor.columns as f64).sqrt()
     }
 
@@ -103,25 +122,38 @@ impl Refit {
     }
 
     /// Solves the training rows by QR; false if they have lost rank.
-    fn reduce(&mut self, factor: &Factor, held: usize) -> bool {
+    fn reduce(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        held: usize,
+    ) -> Result<bool, Error> {
         let (rank, responses) = (factor.rank, factor.responses);
         let width = rank + responses;
         let height = (self.held.len() - held).clamp(width, width + ROWS);
-        self.triangle(factor, height, width);
+        self.triangle(factor, problem, pool, height, width)?;
         if self.rank(factor, height) < rank {
-            return false;
+            return Ok(false);
         }
         for (c, change) in self.change.chunks_exact_mut(rank).enumerate() {
             let column = (rank + c) * height;
             change.copy_from_slice(&self.block[column..column + rank]);
         }
         linalg::solve_upper(&self.block, height, rank, &mut self.change, responses);
-        true
+        Ok(true)
     }
 
-    /// Leaves the triangle of the training rows of `[Q | e]` at the top of `block`.
-    fn triangle(&mut self, factor: &Factor, height: usize, width: usize) {
-        let Self { held, block, reflectors, scratch, .. } = self;
+    /// Leaves the triangle of the training rows and their right-hand sides at the top of `block`.
+    fn triangle(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        height: usize,
+        width: usize,
+    ) -> Result<(), Error> {
+        let Self { held, row: entries, block, reflectors, scratch, .. } = self;
         // Sized for the largest block, whatever this pair's.
         let scratch = scratch.get_or_insert_with(|| QrScratch::new(width + ROWS, width));
         block.clear();
@@ -134,28 +166,30 @@ impl Refit {
                 block[j * height + kept.min(j + 1)..(j + 1) * height].fill(0.0);
             }
             for (k, row) in training.by_ref().take(height - kept).enumerate() {
-                let entries = factor.basis_row(row).iter().chain(factor.residual_row(row));
-                for (j, &x) in entries.enumerate() {
+                factor.full_rank_row(problem, row, entries)?;
+                for (j, &x) in entries.iter().enumerate() {
                     block[j * height + kept + k] = x;
                 }
             }
-            linalg::qr_in_place(block, height, width, reflectors, scratch);
+            linalg::qr_in_place(block, height, width, reflectors, scratch, pool)?;
             kept = width;
         }
+        Ok(())
     }
 
-    /// Rank of the training rows of the design, columns at unit length.
+    /// Rank of the training rows, the design's columns at unit length.
     fn rank(&self, factor: &Factor, height: usize) -> usize {
         let rank = factor.rank;
         let mut r = vec![0.0; rank * rank];
         for (j, column) in r.chunks_exact_mut(rank).enumerate() {
             column[..=j].copy_from_slice(&self.block[j * height..j * height + j + 1]);
         }
-        let bound = factor.least / linalg::inverse_norm(&r, rank);
+        let full = rank == factor.columns;
+        let bound = if full { 1.0 } else { factor.least } / linalg::inverse_norm(&r, rank);
         if bound > 2.0 * factor.tolerance * (factor.columns as f64).sqrt() {
             return rank;
         }
-        let design = linalg::product(&r, &factor.triangle, rank, rank, factor.columns);
+        let design = if full { r } else { linalg::product(&r, &factor.triangle, rank, rank, factor.columns) };
         linalg::thin_svd(&design, rank, factor.columns)
             .map_or(0, |svd| numerical_rank(&svd.s, factor.tolerance))
     }

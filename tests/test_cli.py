@@ -1,0 +1,337 @@
+import csv
+import io
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.image import imsave
+
+import mexpress as mx
+from mexpress.cli import main
+from mexpress.matches import read_points, write_matches
+from mexpress.progress import bar
+from mexpress.reports import table
+
+RNG = np.random.default_rng(1)
+SOURCE = RNG.uniform(0, 1, (80, 2)) * [640, 480]
+TARGET = 0.9 * SOURCE + 15 * np.sin(SOURCE[:, ::-1] / 150) + RNG.normal(0, 0.3, SOURCE.shape)
+SIZE = ["--image-size", "640x480"]
+
+
+@pytest.fixture
+def matches(tmp_path):
+    path = tmp_path / "matches.csv"
+    write_matches(path, SOURCE, TARGET)
+    return str(path)
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "warp.npz"
+    mx.fit_warp(SOURCE, TARGET, SOURCE[:6]).save(path)
+    return path
+
+
+def selected_here(**options):
+    return mx.select_warp(SOURCE, TARGET, image_size=(640, 480), **options)
+
+
+def test_files_hold_what_the_library_returns(matches, run, tmp_path):
+    out = tmp_path / "made" / "here"
+    status, text, errors = run(
+        "warp", matches, *SIZE, "--criteria", "FIT,ER5,BIC", "--counts", "3:18", "--out", out
+    )
+    assert status == 0, errors
+    expected = selected_here(criteria=["FIT", "ER5", "BIC"], counts=range(3, 19))
+    assert f"ER10 selects {expected.count} control points" in text
+    assert "selection.json, curves.csv, warp.npz, curves.png, warp.png" in text
+    with (out / "curves.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["count"]) for row in rows] == expected.counts.tolist()
+    said = json.loads((out / "selection.json").read_text())
+    assert said["selected"] == expected.selected
+    assert said["count"] == expected.count
+    assert said["command"]["counts"] == list(range(3, 19))
+    assert said["image_size"] == [640, 480]
+    for name, curve in expected.curves.items():
+        np.testing.assert_array_equal([float(row[name]) for row in rows], curve)
+        np.testing.assert_array_equal(np.array(said["curves"][name], dtype=float), curve)
+    np.testing.assert_array_equal(mx.load(out / "warp.npz")(SOURCE), expected.warp(SOURCE))
+    for name in ("curves.png", "warp.png"):
+        assert (out / name).stat().st_size > 10_000
+
+
+def test_options_reach_the_library(matches, run, tmp_path):
+    options = [
+        "--criterion",
+        "cmpress",
+        "--no-fractional",
+        "--counts",
+        "3,9,12",
+        "--seed",
+        "5",
+        "--threads",
+        "1",
+    ]
+    status, _, errors = run("warp", matches, *options, "--no-plots", "--quiet", "--out", tmp_path)
+    assert status == 0, errors
+    expected = mx.select_warp(
+        SOURCE, TARGET, criterion="CMPRESS", fractional=False, counts=[3, 9, 12], seed=5
+    )
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["criterion"] == "CMPRESS"
+    assert said["curves"]["CMPRESS"] == expected.curves["CMPRESS"].tolist()
+    assert not said["warp"]["fractional"]
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_images(matches, run, tmp_path):
+    images = RNG.random((480, 640)), RNG.random((400, 500, 3))
+    names = [tmp_path / "left.png", tmp_path / "right.png"]
+    for name, image in zip(names, images, strict=True):
+        imsave(name, image)
+    pair = ["--source-image", names[0], "--target-image", names[1]]
+    status, text, errors = run("warp", matches, *pair, "--counts", "3:8", "--out", tmp_path)
+    assert status == 0, errors
+    assert (tmp_path / "registered.png").stat().st_size > 10_000
+    assert "registered.png" in text
+    # The size comes from the image.
+    assert json.loads((tmp_path / "selection.json").read_text())["image_size"] == [640, 480]
+
+
+def test_undefined_scores_are_null_and_told(run, tmp_path):
+    # Two clusters: without one of them, nothing is left to say how the plane bends there.
+    clusters = np.vstack([SOURCE[:40] / 20, SOURCE[40:] / 20 + [600, 440]])
+    write_matches(tmp_path / "m.csv", clusters, 1.1 * clusters + RNG.normal(0, 0.1, clusters.shape))
+    options = ["--criteria", "FIT,CMPRESS", "--criterion", "CMPRESS", "--counts", "3:50"]
+    status, text, errors = run("warp", tmp_path / "m.csv", *options, "--quiet", "--out", tmp_path)
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert status == 0, errors
+    assert None in said["curves"]["CMPRESS"]
+    assert " -" in text
+    assert "CMPRESS has no score at" in errors
+
+
+def test_without_matplotlib_the_numbers_are_written(matches, run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    status, _, errors = run("warp", matches, "--counts", "3:5", "--out", tmp_path)
+    assert status == 0
+    assert "pip install 'mexpress[plot]'" in errors
+    assert (tmp_path / "selection.json").exists()
+
+
+def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage.io", None)
+    pair = ["--source-image", "left.png", "--target-image", "right.png"]
+    status, _, errors = run("warp", matches, *pair, "--out", tmp_path / "out")
+    assert status == 2
+    assert "pip install 'mexpress[image]'" in errors
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--image-size", "640"], "must be WIDTHxHEIGHT"),
+        (["--image-size", "0x480"], "must be WIDTHxHEIGHT"),
+        (["--image-size", "nanx480"], "must be WIDTHxHEIGHT"),
+        (["--image-size", "-640x480"], "--image-size"),
+        (["--criterion", "WISDOM"], "Invalid criterion"),
+        (["--criteria", "FIT,WISDOM"], "Invalid criterion"),
+        (["--counts", "3:2"], "--counts"),
+        (["--counts", "a:b"], "--counts"),
+        (["--counts", "3:9:0"], "--counts"),
+        (["--counts", "3:4:5:6"], "--counts"),
+        (["--counts", "2:9"], "Invalid counts"),
+        (["--counts", "200:200"], "Invalid"),
+        (["--lifting", "rubber"], "Invalid lifting"),
+        (["--placement", "anywhere"], "Invalid placement"),
+        (["--threads", "0"], "Invalid threads"),
+        (["--seed", "-1"], "Invalid seed"),
+        (["--seed", "x"], "--seed"),
+        (["--source-image", "left.png"], "belong together"),
+        (["--source-image", "no.png", "--target-image", "no.png"], "no.png: No such file"),
+        (["--wisdom"], "unrecognized arguments"),
+    ],
+)
+def test_bad_options_are_one_line(matches, run, tmp_path, options, says):
+    status, text, errors = run("warp", matches, *options, "--quiet", "--out", tmp_path / "out")
+    assert (status, text) == (2, "")
+    assert says in errors
+    assert errors.startswith("mexpress: error: ")
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "No such file"),
+        ("", "Invalid matches"),
+        ("1,2,3\n", "line 1"),
+        ("1,2,3,4\n1,nan,3,4\n", "line 2"),
+        ("1,2,3,4\n1,oops,3,4\n", "line 2"),
+        ("1,2,3,4\n", "Invalid source"),
+        ("1,2,3,4\n5,6,7,8\n9,10,1,2\n4,5,6,7\n", "not on a line"),
+    ],
+)
+def test_bad_matches_are_one_line(run, tmp_path, content, says):
+    path = tmp_path / "m.csv"
+    if content is not None:
+        path.write_text(content)
+    status, text, errors = run("warp", path, "--quiet", "--out", tmp_path / "out")
+    assert (status, text) == (2, "")
+    assert says in errors
+    assert errors.count("\n") == 1
+
+
+def test_damaged_images_are_one_line(matches, run, tmp_path):
+    (tmp_path / "left.png").write_bytes(b"not a picture")
+    pair = ["--source-image", tmp_path / "left.png", "--target-image", tmp_path / "left.png"]
+    status, _, errors = run("warp", matches, *pair, "--out", tmp_path / "out")
+    assert status == 2
+    assert "Invalid image" in errors
+    assert errors.count("\n") == 1
+
+
+def test_an_output_that_is_a_file_is_one_line(matches, run):
+    status, _, errors = run("warp", matches, "--out", matches)
+    assert status == 2
+    assert errors.endswith("File exists\n")
+
+
+def test_faults_of_ours_keep_their_traceback(matches, run, tmp_path, monkeypatch):
+    def fault(*_, **__):
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr("mexpress.cli.select_warp", fault)
+    with pytest.raises(ValueError, match="broadcast"):
+        run("warp", matches, "--out", tmp_path)
+
+
+def test_interruption_is_no_traceback(matches, run, tmp_path, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mexpress.cli.select_warp", interrupt)
+    assert run("warp", matches, "--out", tmp_path) == (130, "", "mexpress: error: interrupted\n")
+
+
+def test_apply_is_the_warp(run, tmp_path, model):
+    np.savetxt(tmp_path / "p.csv", SOURCE, delimiter=",", fmt="%.17g")
+    status, text, _ = run("apply", model, tmp_path / "p.csv")
+    assert status == 0
+    (tmp_path / "mapped.csv").write_text(text)
+    np.testing.assert_array_equal(read_points(tmp_path / "mapped.csv"), mx.load(model)(SOURCE))
+    status, text, _ = run(
+        "apply", model, tmp_path / "mapped.csv", "--inverse", "--out", tmp_path / "back.csv"
+    )
+    assert (status, text) == (0, "")
+    np.testing.assert_allclose(read_points(tmp_path / "back.csv"), SOURCE, atol=1e-6)
+
+
+def test_apply_tells_where_it_extrapolates(run, tmp_path, model):
+    (tmp_path / "p.csv").write_text("320 240\n-50 10\n")
+    status, text, errors = run("apply", model, tmp_path / "p.csv")
+    assert status == 0
+    assert len(text.splitlines()) == 3
+    assert "1 of 2 points are outside the region of the matches" in errors
+
+
+@pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04", b"1,2\n"])
+def test_apply_with_a_bad_model_is_one_line(run, tmp_path, content):
+    (tmp_path / "p.csv").write_text("1,2\n")
+    if content is not None:
+        (tmp_path / "m.npz").write_bytes(content)
+    status, text, errors = run("apply", tmp_path / "m.npz", tmp_path / "p.csv")
+    assert (status, text) == (2, "")
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [[], ["wrap"], ["warp"], ["apply", "m.npz"]])
+def test_incomplete_commands_are_one_line(run, arguments):
+    status, _, errors = run(*arguments)
+    assert status == 2
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["warp", "--help"], ["apply", "--help"]])
+def test_help(arguments, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 0
+    assert "mexpress" in capsys.readouterr().out
+
+
+def test_as_a_process_whose_reader_leaves(tmp_path, model):
+    np.savetxt(tmp_path / "p.csv", np.tile(SOURCE, (1000, 1)))
+    command = [sys.executable, "-m", "mexpress", "apply", str(model), str(tmp_path / "p.csv")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "x,y\n"
+        process.stdout.close()
+        assert process.stderr.read() == ""
+
+
+def test_table_marks_minima_and_always_shows_them():
+    selection = selected_here(counts=range(3, 41))
+    text = table(selection, most_rows=10)
+    header, *rows, note = text.splitlines()
+    assert header.split() == ["points", "FIT", "PRESS", "CMPRESS", "ER10"]
+    assert note == f"({len(rows)} of 38 numbers of control points; all are in the curves)"
+    shown = {int(row.split()[0]): row.split()[1:] for row in rows}
+    assert {3, 40} <= shown.keys()
+    for column, (name, count) in enumerate(selection.selected.items()):
+        assert shown[count][column].endswith("*"), name
+    assert text.count("*") == 4
+    assert len(table(selection, most_rows=38).splitlines()) == 39
+
+
+def terminal():
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    return stream
+
+
+def progress_of(stream, seconds):
+    """Return what is written during steps of the given durations."""
+    now = [0.0]
+    with bar(len(seconds), "warp", stream, lambda: now[0]) as step:
+        for duration in seconds:
+            now[0] += duration
+            step()
+    return stream.getvalue()
+
+
+def test_short_work_shows_no_progress():
+    assert progress_of(terminal(), [0.01] * 50) == ""
+    assert progress_of(io.StringIO(), [0.01] * 50) == ""
+
+
+def test_a_terminal_has_one_line_that_is_wiped():
+    text = progress_of(terminal(), [0.25] * 40)
+    assert "\n" not in text
+    assert "warp: 20 of 40, 5 s left" in text
+    assert text.split("\r")[-2].strip() == ""
+
+
+def test_a_log_has_few_lines():
+    lines = progress_of(io.StringIO(), [0.5] * 400).splitlines()
+    assert len(lines) == 40
+    assert lines[0] == "warp: 2 of 400, 3 min 19 s left"
+
+
+def test_no_stream_no_progress(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    with bar(1, "warp", clock=iter([0.0, 9.0]).__next__) as step:
+        step()

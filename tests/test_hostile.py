@@ -1,0 +1,695 @@
+"""Every public function with input that is strange but right, and with input that is wrong."""
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import mexpress as mx
+
+s = mx.schemes
+N = 20
+RNG = np.random.default_rng(0)
+A = RNG.normal(size=(N, 3))
+B = RNG.normal(size=N)
+POINTS = RNG.uniform(0, 100, (N, 2))
+TARGET = 2 * POINTS + RNG.normal(size=(N, 2))
+MODEL = mx.LeastSquares(A, B)
+LOO = s.leave_one_out(N)
+FORM = re.compile(r"^Invalid [\w\[\]]+\. .+ Given .*\.$", re.DOTALL)
+
+
+def in_form(error):
+    assert type(error) in (ValueError, TypeError)
+    assert FORM.match(str(error)), error
+
+
+def refused(call, name=None, errors=(ValueError, TypeError)):
+    """Call, expect an error of the shared form about `name`, and return its text."""
+    with pytest.raises(errors) as caught:
+        call()
+    in_form(caught.value)
+    text = str(caught.value)
+    if name is not None:
+        assert re.match(rf"Invalid {name}(\[\d+\])?\.", text), text
+    return text
+
+
+# Every function with an array argument: its name, and a call that returns plain numbers.
+ARRAYS = {
+    "LeastSquares A": ("A", A, lambda x: mx.LeastSquares(x, B).residuals),
+    "LeastSquares b": ("b", B, lambda x: mx.LeastSquares(A, x).residuals),
+    "LeastSquares weights": (
+        "weights",
+        np.arange(1.0, N + 1),
+        lambda x: mx.LeastSquares(A, B, weights=x).residuals,
+    ),
+    "LeastSquares penalty": ("penalty", np.eye(3), lambda x: mx.LeastSquares(A, B, penalty=x).residuals),
+    "exclusion_radius": ("points", POINTS, lambda x: s.exclusion_radius(x, 20).held_out.indices),
+    "nearest": ("points", POINTS, lambda x: s.nearest(x, 3).held_out.indices),
+    "delaunay": ("points", POINTS, lambda x: s.delaunay(x).held_out.indices),
+    "select_warp source": (
+        "source",
+        POINTS,
+        lambda x: mx.select_warp(x, TARGET, counts=[3, 4]).curves["ER10"],
+    ),
+    "select_warp target": (
+        "target",
+        TARGET,
+        lambda x: mx.select_warp(POINTS, x, counts=[3, 4]).curves["ER10"],
+    ),
+    "fit_warp source": ("source", POINTS, lambda x: mx.fit_warp(x, TARGET, POINTS[:4]).parameters),
+    "fit_warp target": ("target", TARGET, lambda x: mx.fit_warp(POINTS, x, POINTS[:4]).parameters),
+    "fit_warp control_points": (
+        "control_points",
+        POINTS[:5],
+        lambda x: mx.fit_warp(POINTS, TARGET, x).parameters,
+    ),
+    "Warp": ("points", POINTS, mx.fit_warp(POINTS, TARGET, POINTS[:4])),
+}
+INDICES = {
+    "held_out_residuals": ("rows", MODEL.held_out_residuals),
+    "from_sets held_out": ("held_out", lambda x: s.from_sets([x], n=N).held_out.indices),
+    "from_sets validated": ("validated", lambda x: s.from_sets([range(N)], [x], n=N).validated.indices),
+    "from_splits test": ("test", lambda x: s.from_splits([([], x)], n=N).validated.indices),
+    "from_splits train": ("train", lambda x: s.from_splits([(x, [])], n=N).held_out.indices),
+    "select_warp counts": ("counts", lambda x: mx.select_warp(POINTS, TARGET, "NN02PTS", counts=x).counts),
+}
+COVERED = {
+    "CrossValidation",  # a result
+    "LeastSquares",
+    "RankLossWarning",  # no function
+    "Selection",  # a result
+    "Warp",
+    "WarpSelection",  # a result
+    "criteria",  # test_criteria.py
+    "fit_warp",
+    "load",
+    "schemes",
+    "select_warp",
+    "IndexSets",
+    "Scheme",
+    "delaunay",
+    "exclusion_radius",
+    "from_sets",
+    "from_splits",
+    "k_fold",
+    "leave_one_out",
+    "leave_p_out",
+    "nearest",
+    "random_sampling",
+}
+
+
+def test_no_public_name_is_forgotten():
+    # A new name must be added here, and what it takes to the tables above.
+    assert set(mx.__all__) | set(s.__all__) <= COVERED
+
+
+def strided(x):
+    wide = np.full((2 * len(x), *x.shape[1:]), np.nan)
+    wide[::2] = x
+    return wide[::2]
+
+
+def frozen(x):
+    x = x.copy()
+    x.flags.writeable = False
+    return x
+
+
+def padded_columns(x):
+    return np.column_stack([x, x, x])[:, : x.shape[1]] if x.ndim == 2 else np.column_stack([x, x])[:, 0]
+
+
+FORMS = {
+    "lists": lambda x: x.tolist(),
+    "tuples": lambda x: tuple(map(tuple, x)) if x.ndim == 2 else tuple(x),
+    "Fortran order": np.asfortranarray,
+    "read-only": frozen,
+    "strided": strided,
+    "part of wider rows": padded_columns,
+    "backwards": lambda x: x[::-1].copy()[::-1],
+    "big-endian": lambda x: x.astype(">f8"),
+    "longdouble": lambda x: x.astype(np.longdouble),
+    "masked nowhere": lambda x: np.ma.array(x, mask=False),
+    "a subclass": lambda x: x.view(type("Own", (np.ndarray,), {})),
+    "misaligned": lambda x: np.frombuffer(b"\0" + x.tobytes(), np.uint8)[1:].view(x.dtype).reshape(x.shape),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", ARRAYS)
+def test_the_form_of_an_array_does_not_matter(name, form):
+    _, value, call = ARRAYS[name]
+    before = value.copy()
+    result = call(FORMS[form](value))
+    np.testing.assert_array_equal(result, call(value))
+    assert type(result) is np.ndarray
+    np.testing.assert_array_equal(value, before)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int8, np.int64, np.uint8, bool])
+@pytest.mark.parametrize("name", ARRAYS)
+def test_other_numbers_mean_what_they_are_as_float64(name, dtype):
+    argument, value, call = ARRAYS[name]
+    value = np.abs(np.round(value)) + 1 if argument == "weights" else value
+    converted = value.astype(dtype)
+    try:
+        expected = call(converted.astype(np.float64))
+    except ValueError:  # true and false, as points, are on a line
+        refused(lambda: call(converted))
+    else:
+        np.testing.assert_array_equal(call(converted), expected)
+
+
+WRONG = {
+    "a string": lambda x: "matrix",
+    "strings": lambda x: x.astype(str),
+    "bytes": lambda x: b"matrix",
+    "complex": lambda x: x + 0j,
+    "objects": lambda x: x.astype(object),
+    "fractions": lambda x: [[Fraction(1, 2)] * 2] * len(x),
+    "none": lambda x: None,
+    "nones": lambda x: [None] * len(x),
+    "a dictionary": lambda x: {"x": 1},
+    "ragged": lambda x: [[1.0, 2.0], [3.0]] * (len(x) // 2),
+    "masked": lambda x: np.ma.array(x, mask=np.arange(x.size).reshape(x.shape) == 1),
+    "dates": lambda x: x.astype("datetime64[s]"),
+    "records": lambda x: np.zeros(len(x), dtype=[("x", float), ("y", float)]),
+    "empty": lambda x: [],
+    "no rows": lambda x: x[:0],
+    "no columns": lambda x: np.zeros((len(x), 0)),
+    "a number": lambda x: 3.0,
+    "three dimensions": lambda x: np.zeros((*x.shape, 2, 2)),
+    "one row short": lambda x: x[:-1],
+    "a generator": lambda x: (row for row in x),
+    "a class": lambda x: np.ndarray,
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("name", ARRAYS)
+def test_what_is_no_array_of_numbers_is_refused(name, wrong):
+    argument, value, call = ARRAYS[name]
+    if wrong == "none" and argument in {"weights", "penalty"}:
+        call(None)  # the default
+        return
+    if wrong in {"no rows", "one row short"} and argument == "penalty":
+        call(WRONG[wrong](value))  # any number of rows will do
+        return
+    if wrong == "one row short" and argument in {"points", "control_points"}:
+        call(WRONG[wrong](value))
+        return
+    either = r"\w+" if wrong == "one row short" else argument
+    if wrong == "one row short" and name == "LeastSquares A":
+        either = "[Ab]"
+    refused(lambda: call(WRONG[wrong](value)), either)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ARRAYS)
+def test_what_is_not_finite_is_refused_and_located(name, bad):
+    argument, value, call = ARRAYS[name]
+    value = value.copy()
+    place = (2,) if value.ndim == 1 else (2, 1)
+    value[place] = bad
+    text = refused(lambda: call(value), argument, ValueError)
+    assert "row 2" in text
+    assert "nan" in text if np.isnan(bad) else "inf" in text
+    if value.ndim == 2:
+        assert "column 1" in text
+
+
+def test_every_place_that_is_not_finite_is_found():
+    for m, p in [(1, 1), (5, 3), (4096, 1), (1400, 3)]:
+        for row, column in {(0, 0), (m - 1, p - 1), (m // 2, p // 2)}:
+            a = np.ones((m, p))
+            a[row, column] = np.nan
+            assert f"row {row}, column {column}" in refused(
+                lambda a=a, m=m: mx.LeastSquares(a, np.ones(m)), "A"
+            )
+
+
+# -------------------------------------------------------------------------------------------------- indices
+
+
+@pytest.mark.parametrize("name", INDICES)
+@pytest.mark.parametrize(
+    "form",
+    [
+        list,
+        tuple,
+        lambda x: np.array(x, dtype=np.uint8),
+        lambda x: np.array(x, dtype=">i4"),
+        lambda x: np.array(x)[::-1],
+        lambda x: np.repeat(x, 2)[::2],
+        lambda x: frozen(np.array(x)),
+    ],
+)
+def test_indices_of_any_form(name, form):
+    _, call = INDICES[name]
+    expected, found = call([3, 5, 4]), call(form([3, 5, 4]))
+    assert sorted(found.tolist()) == sorted(expected.tolist())
+
+
+@pytest.mark.parametrize("name", INDICES)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [3, 3],
+        [-1, 4],
+        [3.0, 4.0],
+        [3.5],
+        np.arange(N) > 3,
+        [True, False],
+        "34",
+        ["3", "4"],
+        [[3, 4]],
+        [[3], [4, 5]],
+        [3 + 0j],
+        [None],
+        np.array([3, 4], dtype=object),
+        [2**70],
+        np.array([2**63], dtype=np.uint64),
+        np.ma.array([3, 4], mask=[False, True]),
+        None,
+        3,
+        {3: 4},
+    ],
+    ids=lambda x: " ".join(repr(x).split())[:40],
+)
+def test_bad_indices(name, wrong):
+    argument, call = INDICES[name]
+    if name == "select_warp counts" and wrong is None:
+        return  # the default
+    refused(lambda: call(wrong), argument)
+
+
+@pytest.mark.parametrize("name", [name for name in INDICES if "counts" not in name])
+@pytest.mark.parametrize("index", [N, N + 1, 2**40, 2**62])
+def test_indices_that_are_too_large(name, index):
+    argument, call = INDICES[name]
+    refused(lambda: call([index]), argument, ValueError)
+
+
+@pytest.mark.parametrize("index", [2**63 - 1, 2**63, 2**64 - 1])
+def test_indices_without_a_bound_do_not_wrap(index):
+    huge = np.array([index], dtype=np.uint64)
+    refused(lambda: MODEL.cross_validate(s.from_sets([huge])))
+    refused(lambda: MODEL.cross_validate(s.from_splits([([0], huge)])))
+
+
+def test_indices_without_a_bound_do_not_take_all_memory():
+    refused(lambda: MODEL.cross_validate(s.from_sets([[2**45]])), "scheme")
+    refused(lambda: MODEL.cross_validate(s.from_splits([([0], [2**45])])))
+
+
+@pytest.mark.parametrize("name", [name for name in INDICES if "counts" not in name])
+def test_no_indices(name):
+    assert INDICES[name][1]([]).shape in {(0,), (N,)}
+
+
+# -------------------------------------------------------------------------------------------------- numbers
+
+NUMBERS = {
+    "leave_one_out n": ("n", 5, s.leave_one_out),
+    "k_fold n": ("n", 9, lambda x: s.k_fold(x, 3)),
+    "k_fold k": ("k", 3, lambda x: s.k_fold(9, x)),
+    "nearest k": ("k", 3, lambda x: s.nearest(POINTS, x)),
+    "nearest threads": ("threads", 2, lambda x: s.nearest(POINTS, 3, threads=x)),
+    "exclusion_radius threads": ("threads", 2, lambda x: s.exclusion_radius(POINTS, 3, threads=x)),
+    "leave_p_out n": ("n", 9, lambda x: s.leave_p_out(x, 2)),
+    "leave_p_out p": ("p", 2, lambda x: s.leave_p_out(9, x)),
+    "leave_p_out max_sets": ("max_sets", 4, lambda x: s.leave_p_out(9, 2, x)),
+    "random_sampling n": ("n", 9, lambda x: s.random_sampling(x, 2, 3)),
+    "random_sampling size": ("size", 2, lambda x: s.random_sampling(9, x, 3)),
+    "random_sampling repeats": ("repeats", 3, lambda x: s.random_sampling(9, 2, x)),
+    "from_sets n": ("n", 9, lambda x: s.from_sets([[0]], n=x)),
+    "from_splits n": ("n", 9, lambda x: s.from_splits([([0], [1])], n=x)),
+    "LeastSquares coupling": ("coupling", 2, lambda x: mx.LeastSquares(A, B, coupling=x)),
+    "LeastSquares threads": ("threads", 2, lambda x: mx.LeastSquares(A, B, threads=x)),
+    "cross_validate threads": ("threads", 2, lambda x: MODEL.cross_validate(LOO, threads=x)),
+    "hat_blocks threads": ("threads", 2, lambda x: MODEL.hat_blocks(threads=x)),
+    "select_warp threads": ("threads", 2, lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x)),
+}
+OPTIONAL = {"threads", "max_sets", "from_sets n", "from_splits n"}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("form", [int, np.int8, np.uint64, np.int32, np.array])
+def test_whole_numbers_of_any_form(name, form):
+    _, value, call = NUMBERS[name]
+    call(form(value))
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        0,
+        -1,
+        -(2**70),
+        2.0,
+        2.5,
+        "2",
+        b"2",
+        True,
+        np.True_,
+        np.nan,
+        np.inf,
+        2j,
+        [2, 3],
+        {},
+        None,
+        np.float64(2),
+    ],
+    ids=repr,
+)
+def test_bad_whole_numbers(name, wrong):
+    argument, _, call = NUMBERS[name]
+    if wrong is None and (argument in OPTIONAL or name in OPTIONAL):
+        call(None)
+        return
+    refused(lambda: call(wrong), argument)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, (argument, *_) in NUMBERS.items() if argument in {"k", "p", "size"}]
+)
+def test_more_than_there_are(name):
+    argument, _, call = NUMBERS[name]
+    for wrong in (10 if "nearest" not in name else N + 1, 2**62, 2**70):
+        refused(lambda wrong=wrong: call(wrong), argument, ValueError)
+
+
+@pytest.mark.parametrize("radius", [-1, -1e-300, np.nan, np.inf, "3", None, True, [1, 2], 3j, {}])
+def test_bad_radii(radius):
+    refused(lambda: s.exclusion_radius(POINTS, radius), "radius")
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "seed", [None], ...])
+def test_bad_seeds(seed):
+    for call in (
+        lambda: s.k_fold(9, 3, seed),
+        lambda: s.leave_p_out(9, 3, 4, seed),
+        lambda: s.random_sampling(9, 3, 4, seed),
+        lambda: mx.select_warp(POINTS, TARGET, counts=[3], seed=seed),
+    ):
+        refused(call, "seed")
+
+
+# ------------------------------------------------------------------------------------------------ one model
+
+
+def test_one_datum():
+    model = mx.LeastSquares([[2.0]], [3.0])
+    assert model.coefficients.tolist() == [1.5]
+    with pytest.warns(mx.RankLossWarning):
+        assert np.isnan(model.cross_validate(s.leave_one_out(1)).score)
+    model = mx.LeastSquares([[2.0]], [3.0], penalty=[[2.0]])
+    assert model.held_out_residuals([0]).tolist() == [3.0]
+    assert (
+        len(s.nearest([[1.0, 2.0]], 1))
+        == len(s.delaunay([[1.0, 2.0]]))
+        == len(s.exclusion_radius([[1.0]], 1))
+        == 1
+    )
+
+
+@pytest.mark.parametrize("shape", [(N, 1), (N, 4)])
+def test_responses_keep_their_shape(shape):
+    model = mx.LeastSquares(A, np.ones(shape))
+    assert model.residuals.shape == shape
+    assert model.coefficients.shape == (3, shape[1])
+    assert model.cross_validate(LOO).residuals.shape == shape
+    assert model.held_out_residuals([1, 2]).shape == (2, shape[1])
+
+
+@pytest.mark.parametrize("penalty", [np.eye(4), np.eye(2), np.ones(3), np.ones((1, 1, 3))])
+def test_bad_shapes_of_a_penalty(penalty):
+    refused(lambda: mx.LeastSquares(A, B, penalty=penalty), "penalty", ValueError)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, -1e-300])
+def test_weights_are_positive(bad):
+    weights = np.ones(N)
+    weights[7] = bad
+    text = refused(lambda: mx.LeastSquares(A, B, weights=weights), "weights", ValueError)
+    assert "datum 7" in text
+
+
+def test_weights_are_one_for_each_datum():
+    for weights in (np.ones(N), np.ones((N // 2, 1)), 1.0, np.ones(N // 2 + 1)):
+        refused(lambda w=weights: mx.LeastSquares(A, B, 2, w), "weights", ValueError)
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        3,
+        N + 1,
+        np.zeros(N),
+        np.arange(N) - 1,
+        np.arange(N) + 1,
+        np.arange(N - 1),
+        np.arange(N).reshape(-1, 1),
+        np.arange(N) * 2**40,
+        np.arange(N) > 3,
+        ["a"] * N,
+        [[0], [1, 2]],
+        [],
+        np.where(np.arange(N) == 4, 2**63, 0).astype(np.uint64),
+        np.ma.array(np.arange(N), mask=np.arange(N) == 3),
+        np.arange(N).astype(object),
+    ],
+    ids=lambda x: repr(x)[:30],
+)
+def test_bad_couplings(coupling):
+    refused(lambda: mx.LeastSquares(A, B, coupling), "coupling")
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-150, 1e150, 1e300])
+@pytest.mark.parametrize("what", ["A", "b", "weights", "penalty", "everything"])
+def test_magnitudes(what, scale):
+    weights = np.linspace(1, 2, N)
+    penalty = np.eye(3)
+    plain = mx.LeastSquares(A, B, weights=weights, penalty=0 * penalty)
+    tune = {name: scale if what in {name, "everything"} else 1.0 for name in ("A", "b", "weights", "penalty")}
+    if what == "penalty":
+        # A penalty that outweighs the data by so much, or is outweighed, is a constraint, or nothing.
+        model = mx.LeastSquares(A, B, penalty=scale * penalty)
+        expected = mx.LeastSquares(A, B).residuals if scale < 1 else B
+        np.testing.assert_allclose(model.residuals, expected, rtol=1e-9)
+        return
+    model = mx.LeastSquares(A * tune["A"], B * tune["b"], 1, weights * tune["weights"], 0 * penalty)
+    for name in ("press", "fit_rms"):
+        assert getattr(model, name) == pytest.approx(getattr(plain, name) * tune["b"], rel=1e-9)
+    scheme = s.nearest(POINTS, 5)
+    cv, expected = model.cross_validate(scheme), plain.cross_validate(scheme)
+    assert cv.score == pytest.approx(expected.score * tune["b"], rel=1e-9)
+    np.testing.assert_allclose(cv.residuals, expected.residuals * tune["b"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: mx.LeastSquares(A, np.where(B > 0, 1.7e308, -1.7e308)),
+        lambda: mx.LeastSquares(A, B, weights=np.full(N, 1.7e308)),
+        lambda: mx.LeastSquares(A, B * 1e200, weights=np.full(N, 1e300)),
+        lambda: mx.LeastSquares(A * 1.7e307, B),
+        lambda: mx.LeastSquares(A * 5e-324, B),
+        lambda: mx.LeastSquares(A * 1e-300, B * 1e300),
+    ],
+    ids=[
+        "b near overflow",
+        "weights near overflow",
+        "their product",
+        "A near overflow",
+        "A underflows",
+        "x overflows",
+    ],
+)
+def test_numbers_near_the_limits_are_right_or_refused(build):
+    try:
+        model = build()
+    except (ValueError, TypeError) as error:
+        in_form(error)
+        return
+    for value in (
+        model.fit_rms,
+        model.press,
+        model.cross_validate(LOO).score,
+        model.cross_validate(s.k_fold(N, 4, 0)).score,
+    ):
+        assert np.isfinite(value)
+
+
+def test_points_that_coincide_or_lie_on_a_line():
+    line = np.column_stack([np.arange(N), 2.0 * np.arange(N)])
+    one_place = np.ones((N, 2))
+    for points in (line, one_place):
+        assert len(s.nearest(points, 4)) == len(s.exclusion_radius(points, 1)) == len(s.delaunay(points)) == N
+        refused(lambda p=points: mx.select_warp(p, TARGET), "source", ValueError)
+        refused(lambda p=points: mx.fit_warp(POINTS, TARGET, p[:4]), "control_points", ValueError)
+    refused(lambda: mx.fit_warp(POINTS, TARGET, POINTS[[0, 1, 2, 2]]), "control_points", ValueError)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_too_few_matches(n):
+    refused(lambda: mx.select_warp(POINTS[:n], TARGET[:n]), "source", ValueError)
+
+
+def test_matches_come_in_pairs():
+    for call in (
+        lambda: mx.select_warp(POINTS, TARGET[:-1]),
+        lambda: mx.fit_warp(POINTS[:-1], TARGET, POINTS[:3]),
+    ):
+        refused(call, "target", ValueError)
+
+
+def test_points_of_the_wrong_dimension():
+    for wrong in (np.ones((N, 4)), np.ones((N, 0)), np.ones(N), np.ones((2, N, 2))):
+        refused(lambda w=wrong: s.nearest(w, 2), "points", ValueError)
+        refused(lambda w=wrong: s.exclusion_radius(w, 2), "points", ValueError)
+    for wrong in (np.ones((N, 3)), np.ones((N, 1)), np.ones((2, N)), np.ones(N)):
+        refused(lambda w=wrong: s.delaunay(w), "points", ValueError)
+        refused(lambda w=wrong: mx.select_warp(w, TARGET), "source", ValueError)
+
+
+# -------------------------------------------------------------------------------------------------- schemes
+
+
+@pytest.mark.parametrize("wrong", [None, "loo", 3, [[0], [1]], LOO.held_out, {}])
+def test_what_is_no_scheme(wrong):
+    refused(lambda: MODEL.cross_validate(wrong), "scheme", TypeError)
+
+
+def test_schemes_over_other_data():
+    for n in (N - 1, N + 1):
+        text = refused(lambda n=n: MODEL.cross_validate(s.leave_one_out(n)), "scheme", ValueError)
+        assert str(n) in text
+
+
+@pytest.mark.parametrize("wrong", [None, "sets", 3, [[0]], [np.arange(2)]])
+def test_what_are_no_sets_of_rows(wrong):
+    if wrong is not None:
+        refused(lambda: MODEL.hat_blocks(wrong), "sets", TypeError)
+
+
+@pytest.mark.parametrize("wrong", ["sets", 3, None, 2.5, [3], ["ab"], [[0.5]], [{}], [None]])
+def test_what_are_no_lists_of_sets(wrong):
+    refused(lambda: s.from_sets(wrong), "held_out")
+    if wrong is not None:
+        refused(lambda: s.from_sets([[0, 3]], wrong), "validated")
+
+
+@pytest.mark.parametrize(
+    "wrong", ["ab", 3, None, [3], [([0],)], [([0], [1], [2])], ["ab"], [(None, [0])], [([0], 1.5)]]
+)
+def test_what_are_no_splits(wrong):
+    refused(lambda: s.from_splits(wrong), r"(splits|train|test)")
+
+
+def made_by_hand():
+    """Schemes that no builder makes, and what they would have to mean."""
+    sets = s.IndexSets
+    array = lambda *x: np.array(x, dtype=np.int64)  # noqa: E731
+    own = sets.of([array(1, 2, 3)])
+    yield "validated without being held out", own, sets.of([array(7)])
+    yield "not sorted", sets(array(0, 3), array(3, 1, 2)), sets(array(0, 2), array(2, 3))
+    yield "twice the same", sets(array(0, 2), array(1, 1)), sets(array(0, 1), array(1))
+    yield "validated twice", own, sets(array(0, 2), array(1, 1))
+    yield "offsets past the end", sets(array(0, 5), array(1, 2)), sets.of([array(1)])
+    yield "offsets that decrease", sets(array(0, 2, 1, 2), array(1, 2)), sets.of([array(1)] * 3)
+    yield "offsets that begin late", sets(array(1, 2), array(1, 2)), sets.of([array(2)])
+    yield "no offsets", sets(array(), array(1, 2)), sets(array(), array(1))
+    yield "an index too large", sets.of([array(N)]), sets.of([array(N)])
+    yield "a negative index", sets.of([array(-1)]), sets.of([array(-1)])
+    yield "different lengths", sets.of([array(1), array(2)]), sets.of([array(1)])
+    yield "lists", [[1, 2]], [[1]]
+    yield "lists inside", sets([0, 1], [1]), sets([0, 1], [1])
+    yield (
+        "floats inside",
+        sets(np.array([0.0, 1.0]), np.array([1.0])),
+        sets(np.array([0.0, 1.0]), np.array([1.0])),
+    )
+    yield "small integers", *[sets(np.array([0, 1], np.int8), np.array([1], np.int8))] * 2
+    yield "strided", *[sets(np.array([0, 9, 1, 9])[::2], np.array([1, 9])[::2])] * 2
+
+
+@pytest.mark.parametrize(
+    ("held", "validated"), [pytest.param(h, v, id=name) for name, h, v in made_by_hand()]
+)
+def test_schemes_made_by_hand_are_right_or_refused(held, validated):
+    try:
+        cv = MODEL.cross_validate(s.Scheme(N, held, validated))
+    except (ValueError, TypeError) as error:
+        in_form(error)
+        return
+    held, validated = set(np.concatenate(list(held)).tolist()), np.concatenate(list(validated)).tolist()
+    assert set(validated) <= held
+    assert cv.rows.tolist() == validated
+    kept = sorted(set(range(N)) - held)
+    expected = B[cv.rows] - A[cv.rows] @ np.linalg.lstsq(A[kept], B[kept], rcond=None)[0]
+    np.testing.assert_allclose(cv.residuals, expected, rtol=1e-9)
+
+
+def test_sets_of_rows_made_by_hand():
+    for rows in ([N], [-1]):
+        refused(lambda rows=rows: MODEL.hat_blocks(s.IndexSets.of([np.array(rows)])), "sets", ValueError)
+
+
+# -------------------------------------------------------------------------------------------------- selection
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        *(
+            ("criterion", x)
+            for x in ("", "ER", "mine", None, 10, b"ER10", ["ER10"], np.array(["ER10", "FIT"]))
+        ),
+        *(("criteria", x) for x in ("FIT", b"FIT", 5, [5], [None], ["ERR"], ..., {"mine": [[1]]}, {1: LOO})),
+        ("criteria", {"mine": s.leave_one_out(N + 1)}),
+        *(("lifting", x) for x in ("", "spline", None, 3, ["tps"], np.array(["tps", "x"]))),
+        *(("counts", x) for x in ([], [2], [3, 3], [0], [-3], [3.0], "345", 3, [[3]], [True], ..., {3: 4})),
+        *(("placement", x) for x in ("", "grid", None, 3, np.array(["lloyd", "x"]))),
+        *(
+            ("image_size", x)
+            for x in (5, (1,), (1, 2, 3), (0, 5), (-1, 5), (np.nan, 5), (np.inf, 5), "ab", ("1", "2"), {})
+        ),
+        *(("seed", x) for x in (-1, 1.5, "a")),
+        *(("threads", x) for x in (0, -1, 1.5, "2", True)),
+    ],
+    ids=lambda x: repr(x)[:30],
+)
+def test_bad_options_of_select_warp(name, wrong):
+    options = {"counts": [3, 4], "criterion": "NN02PTS", name: wrong}
+    refused(lambda: mx.select_warp(POINTS, TARGET, **options), r"(criterion|criteria|scheme|" + name + ")")
+
+
+def test_a_bad_criterion_beside_schemes_of_ones_own():
+    for wrong in (["ER10"], None, {}, np.array(["a", "b"])):
+        refused(
+            lambda w=wrong: mx.select_warp(POINTS, TARGET, w, {"mine": LOO}, counts=[3]),
+            "criterion",
+            TypeError,
+        )
+
+
+def test_more_control_points_than_matches():
+    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[N + 1]))
+    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[2**62]))
+
+
+def test_load_refuses_what_is_no_model(tmp_path):
+    path = tmp_path / "model.npz"
+    for content in (b"", b"text", b"PK\x03\x04"):
+        path.write_bytes(content)
+        refused(lambda: mx.load(path))
+    np.savez(path, a=np.ones(3))
+    refused(lambda: mx.load(path))
+    with pytest.raises(FileNotFoundError):
+        mx.load(tmp_path / "nothing")

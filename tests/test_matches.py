@@ -1,0 +1,151 @@
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mexpress.matches import read_matches, read_points, write_matches, write_points_csv
+
+SOURCE = np.array([[1.0, 2.0], [5.0, 6.5], [9.0, -1e-3]])
+TARGET = np.array([[3.0, 4.0], [7.0, 8.0], [0.1, 1e20]])
+TABLE = np.hstack([SOURCE, TARGET])
+
+
+def lines(separator):
+    return "".join(separator.join(map(repr, row)) + "\n" for row in TABLE.tolist())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        lines(","),
+        lines(" , "),
+        lines(";"),
+        lines("\t"),
+        lines("   "),
+        "\ufeff" + lines(","),
+        "x1,y1,x2,y2\n" + lines(","),
+        '"a","b","c","d"\n' + lines(","),
+        "# by hand\n\n" + lines(",").replace("\n", "\r\n") + "\n\n",
+        lines(",").replace("5.0", "'5.0'"),
+    ],
+)
+def test_texts_that_people_write(tmp_path, text):
+    (tmp_path / "m.csv").write_text(text, encoding="utf-8")
+    source, target = read_matches(tmp_path / "m.csv")
+    np.testing.assert_array_equal(source, SOURCE)
+    np.testing.assert_array_equal(target, TARGET)
+
+
+def test_named_columns_are_found_in_any_order_among_others(tmp_path):
+    rows = "".join(f"{i};{d};{c};{b};{a}\n" for i, (a, b, c, d) in enumerate(TABLE.tolist()))
+    (tmp_path / "m.txt").write_text("score;Y2;X2;Y1;X1\n" + rows)
+    source, target = read_matches(str(tmp_path / "m.txt"))
+    np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
+
+
+@given(
+    st.lists(
+        st.tuples(*[st.floats(allow_nan=False, allow_infinity=False, min_value=-1e100, max_value=1e100)] * 4),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_what_is_written_is_read_bit_for_bit(tmp_path_factory, rows):
+    path, table = tmp_path_factory.mktemp("m") / "m.csv", np.array(rows)
+    write_matches(path, table[:, :2], table[:, 2:])
+    np.testing.assert_array_equal(np.hstack(read_matches(path)), table)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"source": SOURCE, "target": TARGET},
+        {"source": SOURCE, "target": TARGET, "scores": np.ones(3)},
+        {"anything": TABLE},
+        {"matches": TABLE, "scores": np.ones(3)},
+        {"tentative": TABLE, "image": np.zeros((4, 4))},
+    ],
+)
+def test_archives(tmp_path, arrays):
+    np.savez(tmp_path / "m.npz", **arrays)
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.npz")), TABLE)
+
+
+def test_plain_arrays(tmp_path):
+    np.save(tmp_path / "m.npy", TABLE.astype(np.float32))
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.npy")), TABLE.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "which has none"),
+        ("\n# nothing\n", "which has none"),
+        ("x1,y1,x2,y2\n", "below its header"),
+        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\). Given 3 in line 1"),
+        ("1,2,3,4\n1,2,3,4,5\n", "5 in line 2"),
+        ("1,2,3,4\n\n1,2,nan,4\n", "'nan' in line 3"),
+        ("1,2,3,4\n1,2,-Inf,4\n", "'-Inf' in line 2"),
+        ("1,2,3,4\n1,2,three,4\n", "'three' in line 2"),
+        ("1,2,x,4\n", "'x' in line 1"),
+        ("1,2,3,4\n1,2,,4\n", "'' in line 2"),
+        ("1,2,3,4\n1,2,1_000,4\n", "'1_000' in line 2"),
+        ("1,2,3,4\n1,2,٣,4\n", "in line 2"),
+        ("1,2,3,4\n1,2,1e999,4\n", "'1e999' in line 2"),
+        ("1;2,5;3;4\n", "'2,5' in line 1"),
+        ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns .* Given 4 in line 2"),
+    ],
+)
+def test_texts_that_are_refused(tmp_path, text, says):
+    (tmp_path / "m.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=rf"^Invalid matches\. .*{says}.*m\.csv|^Invalid matches\. .*m\.csv.*{says}"
+    ):
+        read_matches(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({}, "no arrays"),
+        ({"a": TABLE, "b": TABLE}, r"a \(3, 4\), b \(3, 4\)"),
+        ({"a": SOURCE}, r"a \(3, 2\)"),
+        ({"source": SOURCE}, r"source \(3, 2\)"),
+        ({"source": SOURCE, "target": TARGET[:2]}, "2 for 3"),
+        ({"source": SOURCE, "target": TARGET * np.nan}, "nan at row 0"),
+        ({"matches": TABLE * np.inf}, "inf at row 0"),
+        ({"matches": np.array([["1"] * 4])}, "real numbers"),
+        ({"matches": np.array([[None] * 4])}, "arrays of numbers"),
+    ],
+)
+def test_archives_that_are_refused(tmp_path, arrays, says):
+    np.savez(tmp_path / "m.npz", **arrays)
+    with pytest.raises((ValueError, TypeError), match=rf"^Invalid .*{says}"):
+        read_matches(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 nonsense", bytes(range(256))])
+@pytest.mark.parametrize("name", ["m.npz", "m.npy", "m.csv"])
+def test_damaged_files(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=r"^Invalid matches\."):
+        read_matches(tmp_path / name)
+
+
+def test_points(tmp_path):
+    with (tmp_path / "p.csv").open("w") as file:
+        write_points_csv(file, SOURCE)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), SOURCE)
+    np.savez(tmp_path / "p.npz", points=SOURCE, other=TARGET)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.npz"), SOURCE)
+    (tmp_path / "p.csv").write_text("1,2,3,4\n")
+    with pytest.raises(ValueError, match=r"^Invalid points\. .*2 columns"):
+        read_points(tmp_path / "p.csv")
+
+
+def test_points_without_an_image_are_written(tmp_path):
+    file = io.StringIO()
+    write_points_csv(file, np.array([[np.nan, np.inf]]))
+    assert file.getvalue() == "x,y\nnan,inf\n"

@@ -1,0 +1,270 @@
+"""Threads, forks, signals: what surrounds the mathematics."""
+
+import math
+import multiprocessing
+import os
+import select
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mexpress as mx
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and fork are those of POSIX")
+
+
+def build(seed=0, m=3000, p=20, threads=None):
+    rng = np.random.default_rng(seed)
+    return mx.LeastSquares(rng.normal(size=(m, p)), rng.normal(size=m), threads=threads)
+
+
+def scheme(m=3000, size=40, count=300):
+    rng = np.random.default_rng(1)
+    return mx.schemes.from_sets([rng.choice(m, size, replace=False) for _ in range(count)], n=m)
+
+
+def work(threads=3):
+    """Use threads everywhere, and return bytes."""
+    model = build(threads=threads)
+    cv = model.cross_validate(scheme(), threads=threads)
+    near = mx.schemes.nearest(np.random.default_rng(0).uniform(size=(2000, 2)), 5, threads=threads)
+    return cv.residuals.tobytes() + model.coefficients.tobytes() + near.held_out.indices.tobytes()
+
+
+def child(connection):
+    connection.send_bytes(work())
+    connection.close()
+
+
+def in_process(method):
+    context = multiprocessing.get_context(method)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=child, args=(sender,))
+    process.start()
+    sender.close()
+    try:
+        assert receiver.poll(30), "the child hangs"
+        return receiver.recv_bytes()
+    finally:
+        process.join(5)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        assert process.exitcode == 0
+
+
+# Python 3.12 warns of any fork while threads exist; that it works is what this is about.
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
+@posix
+def test_a_forked_child_computes_the_same():
+    expected = work()
+    for _ in range(3):
+        assert in_process("fork") == expected
+    assert work() == expected
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
+@posix
+def test_a_fork_during_the_work_of_another_thread():
+    expected = work()
+    stop = threading.Event()
+
+    def busy():
+        while not stop.is_set():
+            work()
+
+    thread = threading.Thread(target=busy)
+    thread.start()
+    try:
+        for _ in range(5):
+            assert in_process("fork") == expected
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_a_spawned_child_computes_the_same():
+    assert in_process("spawn") == work()
+
+
+def test_one_model_serves_several_threads_of_python():
+    model, pairs = build(), scheme()
+    expected = model.cross_validate(pairs, threads=1).residuals
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda i: model.cross_validate(pairs, threads=1 + i % 3).residuals, range(40)))
+    for residuals in found:
+        np.testing.assert_array_equal(residuals, expected)
+
+
+def test_the_interpreter_lock_is_released():
+    model = build(m=4000, p=60)
+    pairs = scheme(m=4000, size=300, count=2000)
+    ticks = []
+    stop = threading.Event()
+
+    def tick():
+        while not stop.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    try:
+        start = time.perf_counter()
+        model.cross_validate(pairs, threads=1)
+        end = time.perf_counter()
+    finally:
+        stop.set()
+        thread.join()
+    inside = [t for t in ticks if start < t < end]
+    assert end - start > 0.1, "too short to tell"
+    longest = np.diff([start, *inside, end]).max()
+    assert longest < 0.5 * (end - start)
+
+
+# ------------------------------------------------------------------------------------------ MEXPRESS_NUM_THREADS
+
+
+TASKS = Path("/proc/self/task")
+
+
+def own_threads():
+    return sum(task.read_text().startswith("mexpress") for task in TASKS.glob("*/comm"))
+
+
+@pytest.mark.skipif(not TASKS.is_dir(), reason="needs /proc")
+@pytest.mark.parametrize("value", ["1", "3", " 2 "])
+def test_the_variable_limits_the_threads(value):
+    code = f"""
+        import sys
+        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        import test_process as t
+        t.work(None)
+        print(t.own_threads())
+    """
+    environment = {**os.environ, "MEXPRESS_NUM_THREADS": value}
+    out = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert int(out) <= int(value)
+    assert (int(out) > 0) == (value != "1")  # one thread is that of the caller
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "1e3", "٣", "²", "0x2"])
+def test_a_bad_variable_is_an_error(monkeypatch, value):
+    monkeypatch.setenv("MEXPRESS_NUM_THREADS", value)
+    with pytest.raises(ValueError, match=r"^Invalid MEXPRESS_NUM_THREADS\. .* Given .*\.$"):
+        build()
+    build(threads=1)  # the argument comes first
+
+
+@pytest.mark.parametrize("value", ["", " ", "5000", "99999999999999999999"])
+def test_a_strange_variable_is_no_error(monkeypatch, value):
+    monkeypatch.setenv("MEXPRESS_NUM_THREADS", value)
+    assert mx.LeastSquares(np.ones((3, 1)), np.arange(3.0)).rank == 1
+
+
+# ------------------------------------------------------------------------------------------------------ Ctrl-C
+
+LONG = {
+    "many small pairs": """
+        model = mx.LeastSquares(rng.normal(size=(100_000, 80)), rng.normal(size=100_000), threads=2)
+        pairs = mx.schemes.nearest(rng.uniform(size=(100_000, 2)), 50)
+        call = lambda: model.cross_validate(pairs, threads=2)
+    """,
+    "few large pairs": """
+        model = mx.LeastSquares(rng.normal(size=(20_000, 500)), rng.normal(size=20_000), threads=2)
+        pairs = mx.schemes.from_sets([rng.choice(20_000, 9_000, replace=False) for _ in range(60)], n=20_000)
+        call = lambda: model.cross_validate(pairs, threads=2)
+    """,
+    "pairs that lose rank": """
+        A = rng.normal(size=(20_000, 200))
+        A[:, 100:] = 0
+        A[np.arange(100), np.arange(100, 200)] = 1
+        model = mx.LeastSquares(A, rng.normal(size=20_000), threads=2)
+        pairs = mx.schemes.from_sets([[i, i + 1] for i in range(100)], n=20_000)
+        call = lambda: model.cross_validate(pairs, threads=2)
+    """,
+    "pairs close to rank loss": """
+        A = rng.normal(size=(20_000, 200))
+        A[:, 100:] *= 1e-7
+        A[np.arange(100), np.arange(100, 200)] = 1
+        model = mx.LeastSquares(A, rng.normal(size=20_000), threads=2)
+        pairs = mx.schemes.from_sets([[i, i + 1] for i in range(100)], n=20_000)
+        call = lambda: model.cross_validate(pairs, threads=2)
+    """,
+    "a tall design": """
+        A, b = rng.normal(size=(400_000, 100)), rng.normal(size=400_000)
+        call = lambda: mx.LeastSquares(A, b, threads=2)
+    """,
+    "a wide design": """
+        A, b = rng.normal(size=(6_000, 2_000)), rng.normal(size=6_000)
+        call = lambda: mx.LeastSquares(A, b, threads=2)
+    """,
+    "many neighbours": """
+        points = rng.uniform(size=(60_000, 2))
+        call = lambda: mx.schemes.exclusion_radius(points, 0.05, threads=2)
+    """,
+    "a selection": """
+        points = rng.uniform(0, 1000, (400, 2))
+        target = points + 30 * np.sin(points / 100)
+        call = lambda: mx.select_warp(points, target, threads=2)
+    """,
+}
+
+SCRIPT = """
+import signal, sys, time
+import numpy as np
+import mexpress as mx
+rng = np.random.default_rng(0)
+{setup}
+print("ready", flush=True)
+try:
+    call()
+except KeyboardInterrupt:
+    print("interrupted", time.monotonic(), flush=True)
+else:
+    print("finished", flush=True)
+# The process is usable afterwards.
+small = mx.LeastSquares(rng.normal(size=(5000, 5)), rng.normal(size=5000), threads=2)
+print("score", small.cross_validate(mx.schemes.k_fold(5000, 100, 0), threads=2).score > 0, flush=True)
+"""
+
+
+def interrupt(setup, after):
+    """Latency of Ctrl-C in seconds; None if the work was done before, infinite if it takes very long."""
+    code = SCRIPT.format(setup=textwrap.dedent(setup))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "ready\n"
+            time.sleep(after)
+            sent = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            if not select.select([process.stdout], [], [], 5)[0]:
+                return math.inf
+            word, *when = process.stdout.readline().split()
+            assert process.stdout.readline() == "score True\n"
+        finally:
+            process.kill()
+    return float(when[0]) - sent if word == "interrupted" else None
+
+
+@posix
+@pytest.mark.parametrize("what", LONG)
+def test_ctrl_c_ends_long_work_at_once(what):
+    latency = interrupt(LONG[what], after=0.15)
+    print(f"{what}: {latency}")
+    assert latency is not None, "the work was done too soon to tell"
+    assert latency < 1  # 0.2 s, and room for a busy machine

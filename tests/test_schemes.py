@@ -1,0 +1,372 @@
+from fractions import Fraction
+from itertools import combinations
+
+import numpy as np
+import pytest
+import verde
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+from sklearn.model_selection import (
+    GroupKFold,
+    KFold,
+    LeaveOneGroupOut,
+    ShuffleSplit,
+    TimeSeriesSplit,
+)
+
+import mexpress as mx
+
+s = mx.schemes
+
+
+def lists(sets):
+    return [x.tolist() for x in sets]
+
+
+def exact_squares(points):
+    """Squared distances without rounding."""
+    rows = [[Fraction(float(x)) for x in point] for point in np.asarray(points)]
+    return [[sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) for q in rows] for p in rows]
+
+
+def check_around(scheme, n):
+    """Datum i alone is validated in pair i, and is held out."""
+    assert scheme.n_data == n
+    assert lists(scheme.validated) == [[i] for i in range(n)]
+    for i, held in enumerate(scheme.held_out):
+        assert i in held
+        assert (np.diff(held) > 0).all()
+        assert held.dtype == np.int64
+
+
+grid_points = st.integers(1, 3).flatmap(
+    lambda d: st.lists(st.lists(st.integers(-4, 4), min_size=d, max_size=d), min_size=1, max_size=25)
+)
+
+
+# -------------------------------------------------------------------------------------------- leave-one-out
+
+
+@pytest.mark.parametrize("n", [1, 2, 17])
+def test_leave_one_out(n):
+    scheme = s.leave_one_out(n)
+    check_around(scheme, n)
+    assert lists(scheme.held_out) == [[i] for i in range(n)]
+
+
+# --------------------------------------------------------------------------------------------------- k-fold
+
+
+@given(n=st.integers(2, 60), data=st.data(), seed=st.integers(0, 100))
+def test_folds_are_a_partition_of_nearly_equal_sizes(n, data, seed):
+    k = data.draw(st.integers(2, n))
+    scheme = s.k_fold(n, k, seed)
+    assert len(scheme) == k
+    assert lists(scheme.held_out) == lists(scheme.validated)
+    sizes = scheme.held_out.sizes
+    assert sizes.max() - sizes.min() <= 1
+    assert sorted(np.concatenate(list(scheme.held_out)).tolist()) == list(range(n))
+    assert lists(s.k_fold(n, k, seed).held_out) == lists(scheme.held_out)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda seed: s.k_fold(40, 5, seed),
+        lambda seed: s.leave_p_out(40, 3, 12, seed),
+        lambda seed: s.random_sampling(40, 9, 12, seed),
+    ],
+)
+def test_seeds(build):
+    one = lists(build(3).held_out)
+    assert lists(build(3).held_out) == one
+    assert lists(build(4).held_out) != one
+    assert lists(build(np.random.default_rng(3)).held_out) == one
+    assert lists(build(None).held_out) != lists(build(None).held_out)
+    generator = np.random.default_rng(3)
+    assert lists(build(generator).held_out) != lists(build(generator).held_out)
+
+
+# ----------------------------------------------------------------------------------------- exclusion radius
+
+
+@given(points=grid_points, radius=st.sampled_from([0, 1, 2, 5, 0.5, 1.42, 2.3, 100]))
+def test_exclusion_radius_on_grids(points, radius):
+    scheme = s.exclusion_radius(points, radius)
+    check_around(scheme, len(points))
+    squares, limit = exact_squares(points), Fraction(radius) ** 2
+    assert lists(scheme.held_out) == [[j for j, d in enumerate(row) if d <= limit] for row in squares]
+
+
+@given(
+    n=st.integers(1, 60),
+    dimension=st.integers(1, 3),
+    radius=st.floats(0, 2),
+    shift=st.sampled_from([0, 1e3, -1e6]),
+    seed=st.integers(0, 999),
+)
+def test_exclusion_radius_anywhere(n, dimension, radius, shift, seed):
+    points = np.random.default_rng(seed).uniform(size=(n, dimension)) + shift
+    squares, limit = exact_squares(points), Fraction(radius) ** 2
+    for i, held in enumerate(s.exclusion_radius(points, radius).held_out):
+        # Rounding may decide, at distances that differ from the radius by rounding.
+        unsure = [j for j, d in enumerate(squares[i]) if abs(d - limit) <= Fraction(1e-14) * limit]
+        sure = {j for j, d in enumerate(squares[i]) if d <= limit} - set(unsure)
+        assert sure <= set(held.tolist()) <= sure | set(unsure)
+
+
+def test_the_radius_belongs_to_the_excluded():
+    # d <= tau: 3, 4, 5 and 5, 12, 13 are exact.
+    scheme = s.exclusion_radius([[0, 0], [3, 4], [-5, 12], [0, 5.000001]], 5)
+    assert lists(scheme.held_out)[0] == [0, 1]
+    assert lists(s.exclusion_radius([[0, 0], [3, 4], [-5, 12]], 13).held_out)[0] == [0, 1, 2]
+
+
+def test_radius_zero_holds_out_what_coincides():
+    assert lists(s.exclusion_radius([[1, 1], [2, 2], [1, 1]], 0).held_out) == [[0, 2], [1], [0, 2]]
+
+
+# -------------------------------------------------------------------------------------------------- nearest
+
+
+@given(points=grid_points, data=st.data())
+def test_nearest_on_grids_breaks_ties_by_index(points, data):
+    n = len(points)
+    k = data.draw(st.integers(1, n))
+    scheme = s.nearest(points, k)
+    check_around(scheme, n)
+    for i, row in enumerate(exact_squares(points)):
+        others = sorted((d, j) for j, d in enumerate(row) if j != i)
+        assert scheme.held_out[i].tolist() == sorted([i] + [j for _, j in others[: k - 1]])
+
+
+@given(n=st.integers(1, 80), dimension=st.integers(1, 3), seed=st.integers(0, 999), data=st.data())
+def test_nearest_anywhere(n, dimension, seed, data):
+    points = np.random.default_rng(seed).normal(size=(n, dimension)) * 1e4
+    k = data.draw(st.integers(1, n))
+    distances = np.linalg.norm(points[:, None] - points, axis=2)
+    expected = np.sort(np.argsort(distances, axis=1)[:, :k], axis=1)
+    np.testing.assert_array_equal(list(s.nearest(points, k).held_out), expected)
+
+
+def test_nearest_of_size_one_is_leave_one_out_and_of_size_two_one_neighbour():
+    points = np.random.default_rng(0).uniform(size=(30, 2))
+    assert lists(s.nearest(points, 1).held_out) == [[i] for i in range(30)]
+    assert set(s.nearest(points, 2).held_out.sizes.tolist()) == {2}
+    assert set(s.nearest(points, 30).held_out.sizes.tolist()) == {30}
+
+
+def test_many_data_in_one_place():
+    # More than a query keeps at once: the smaller indices, and the datum itself.
+    points = np.zeros((1000, 2))
+    scheme = s.nearest(points, 3)
+    assert lists(scheme.held_out)[:4] == [[0, 1, 2], [0, 1, 2], [0, 1, 2], [0, 1, 3]]
+    assert scheme.held_out[999].tolist() == [0, 1, 999]
+    assert set(s.exclusion_radius(points, 0).held_out.sizes.tolist()) == {1000}
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_threads_do_not_matter(threads):
+    x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    points = np.column_stack([x.ravel(), y.ravel()])
+    for build in (
+        lambda t: s.exclusion_radius(points, 3, threads=t),
+        lambda t: s.nearest(points, 9, threads=t),
+    ):
+        one, many = build(1).held_out, build(threads).held_out
+        np.testing.assert_array_equal(one.offsets, many.offsets)
+        np.testing.assert_array_equal(one.indices, many.indices)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-150, 1e-9, 1e9, 1e90])
+def test_neighbourhoods_do_not_depend_on_the_unit(scale):
+    points = np.random.default_rng(0).integers(0, 6, (40, 2)).astype(float)
+    for build in (
+        lambda c: s.exclusion_radius(points * c, 1.5 * c),
+        lambda c: s.nearest(points * c, 5),
+        lambda c: s.delaunay(points * c),
+    ):
+        power = 2.0 ** np.round(np.log2(scale))  # exact
+        assert lists(build(power).held_out) == lists(build(1.0).held_out)
+
+
+# ------------------------------------------------------------------------------------------------- Delaunay
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("n", [4, 10, 100, 400])
+def test_delaunay_is_that_of_scipy(seed, n):
+    points = np.random.default_rng(seed).uniform(0, 1000, (n, 2))
+    offsets, neighbours = Delaunay(points).vertex_neighbor_vertices
+    expected = [sorted([i, *neighbours[offsets[i] : offsets[i + 1]].tolist()]) for i in range(n)]
+    scheme = s.delaunay(points)
+    check_around(scheme, n)
+    assert lists(scheme.held_out) == expected
+
+
+def test_delaunay_of_repeated_points():
+    points = np.random.default_rng(0).uniform(size=(30, 2))
+    repeated = np.vstack([points, points[:10]])
+    once, twice = s.delaunay(points).held_out, s.delaunay(repeated).held_out
+    for i in range(30):
+        expected = set(once[i].tolist()) | {j + 30 for j in once[i].tolist() if j < 10}
+        assert set(twice[i].tolist()) == expected
+    for i in range(10):
+        assert twice[30 + i].tolist() == twice[i].tolist()
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 5), (20, 30)])
+def test_delaunay_of_a_grid_joins_what_is_beside(shape):
+    height, width = shape
+    y, x = (z.ravel() for z in np.mgrid[:height, :width])
+    held = s.delaunay(np.column_stack([x, y])).held_out
+    for i, neighbours in enumerate(held):
+        steps = np.abs(x[neighbours] - x[i]) + 1j * np.abs(y[neighbours] - y[i])
+        assert set(steps) <= {0, 1, 1j, 1 + 1j}
+        inner = [x[i] > 0, x[i] < width - 1, y[i] > 0, y[i] < height - 1]
+        assert sum(abs(steps) == 1) == sum(map(int, inner))
+        assert all(i in held[j] for j in neighbours)
+
+
+@pytest.mark.parametrize("points", [[[0, 0]], [[0, 0], [0, 0]], [[1, 1], [0, 0], [2, 2], [3, 3]]])
+def test_delaunay_without_a_triangle(points):
+    expected = {1: [[0]], 2: [[0, 1]] * 2, 4: [[0, 1, 2], [0, 1], [0, 2, 3], [2, 3]]}[len(points)]
+    assert lists(s.delaunay(points).held_out) == expected
+
+
+# ---------------------------------------------------------------------------------------------- leave-p-out
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (5, 1), (5, 2), (6, 3), (6, 6)])
+def test_leave_p_out_is_every_set(n, p):
+    scheme = s.leave_p_out(n, p)
+    assert lists(scheme.held_out) == [list(c) for c in combinations(range(n), p)]
+    assert lists(scheme.validated) == lists(scheme.held_out)
+
+
+@given(n=st.integers(1, 12), data=st.data(), seed=st.integers(0, 99))
+def test_sampled_sets_are_distinct(n, data, seed):
+    p = data.draw(st.integers(1, n))
+    most = data.draw(st.integers(1, 60))
+    scheme = s.leave_p_out(n, p, most, seed)
+    every = set(combinations(range(n), p))
+    drawn = [tuple(x) for x in lists(scheme.held_out)]
+    assert len(drawn) == min(most, len(every))
+    assert len(set(drawn)) == len(drawn)
+    assert set(drawn) <= every
+
+
+def test_sampled_sets_are_spread_over_all():
+    counts = np.zeros(10)
+    for seed in range(200):
+        for held in s.leave_p_out(10, 2, 9, seed).held_out:
+            counts[held] += 1
+    assert counts.sum() == 3600
+    assert np.abs(counts - 360).max() < 5 * np.sqrt(360)
+
+
+def test_too_many_sets_are_refused_before_they_are_made():
+    with pytest.raises(ValueError, match=r"^Invalid p\. .*max_sets"):
+        s.leave_p_out(100, 10)
+    assert len(s.leave_p_out(1000, 500, max_sets=3, seed=0)) == 3
+
+
+def test_random_sampling():
+    scheme = s.random_sampling(20, 6, 50, seed=0)
+    assert len(scheme) == 50
+    assert lists(scheme.held_out) == lists(scheme.validated)
+    assert set(scheme.held_out.sizes.tolist()) == {6}
+    assert all((np.diff(held) > 0).all() for held in scheme.held_out)
+    assert set(np.concatenate(list(scheme.held_out)).tolist()) == set(range(20))
+
+
+# --------------------------------------------------------------------------------------------- sets, splits
+
+
+def test_sets_of_any_order_and_kind():
+    held = [[3, 1], np.array([2, 0], dtype=np.uint8), range(4), (5,), []]
+    scheme = s.from_sets(iter(held), [[1], [0], (2, 3), [], []])
+    assert scheme.n_data == 6
+    assert lists(scheme.held_out) == [[1, 3], [0, 2], [0, 1, 2, 3], [5], []]
+    assert lists(scheme.validated) == [[1], [0], [2, 3], [], []]
+    assert s.from_sets(held, n=9).n_data == 9
+
+
+@pytest.mark.parametrize(
+    ("held", "validated", "options"),
+    [
+        ([[0, 0]], None, {}),
+        ([[-1]], None, {}),
+        ([[3]], None, {"n": 3}),
+        ([[0]], [[1]], {}),
+        ([[0]], [[0], [0]], {}),
+        ([[0]], [[0, 0]], {}),
+    ],
+)
+def test_bad_sets(held, validated, options):
+    with pytest.raises(ValueError, match=r"^Invalid (held_out|validated)(\[0\])?\. .* Given .*\.$"):
+        s.from_sets(held, validated, **options)
+
+
+def test_splits_hold_out_all_that_is_not_trained_on():
+    scheme = s.from_splits([([0, 1], [4]), ([4], [0, 2])], n=6)
+    assert lists(scheme.held_out) == [[2, 3, 4, 5], [0, 1, 2, 3, 5]]
+    assert lists(scheme.validated) == [[4], [0, 2]]
+
+
+def test_splits_must_not_train_on_what_they_test():
+    with pytest.raises(ValueError, match=r"^Invalid splits\. .*split 1\.$"):
+        s.from_splits([([0], [1]), ([0, 1], [1])])
+
+
+def test_sets_are_a_sequence():
+    sets = s.from_sets([[0, 2], [], [1]]).held_out
+    assert len(sets) == 3
+    assert sets[-1].tolist() == [1]
+    assert lists(sets[:2]) == [[0, 2], []]
+    assert lists(sets) == lists(sets[i] for i in range(3))
+    assert lists(reversed(sets)) == [[1], [], [0, 2]]
+    for i in (3, -4):
+        with pytest.raises(IndexError):
+            sets[i]
+    assert list(s.from_sets([]).held_out) == []
+
+
+N = 45
+GROUPS = np.arange(N) % 7
+
+
+def splits(points):
+    return {
+        "KFold": KFold(5, shuffle=True, random_state=0).split(points),
+        "ShuffleSplit": ShuffleSplit(6, test_size=0.2, train_size=0.6, random_state=0).split(points),
+        "TimeSeriesSplit": TimeSeriesSplit(4, gap=2).split(points),
+        "GroupKFold": GroupKFold(3).split(points, groups=GROUPS),
+        "LeaveOneGroupOut": LeaveOneGroupOut().split(points, groups=GROUPS),
+        "BlockKFold": verde.BlockKFold(spacing=200, n_splits=4, shuffle=True, random_state=0).split(points),
+        "BlockShuffleSplit": verde.BlockShuffleSplit(spacing=200, n_splits=4, random_state=0).split(points),
+    }
+
+
+@pytest.mark.parametrize("name", splits(np.zeros((N, 2))))
+@pytest.mark.parametrize("coupling", [1, 2])
+def test_splitters_equal_refits_of_their_training_data(name, coupling):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 1000, (N, 2))
+    rows = np.arange(N * coupling).reshape(N, coupling)
+    A, b = rng.normal(size=(N * coupling, 4)), rng.normal(size=N * coupling)
+    folds = list(splits(points)[name])
+    cv = mx.LeastSquares(A, b, coupling).cross_validate(s.from_splits(folds, n=N))
+    total = count = 0
+    for k, (train, test) in enumerate(folds):
+        kept, held = rows[train].ravel(), rows[np.sort(test)].ravel()
+        expected = b[held] - A[held] @ np.linalg.lstsq(A[kept], b[kept], rcond=None)[0]
+        np.testing.assert_allclose(cv.residuals[cv.pairs == k], expected, rtol=1e-9, atol=1e-9)
+        total, count = total + (expected**2).sum(), count + len(test)
+    assert cv.score == pytest.approx(np.sqrt(total / count))
+
+
+def test_n_is_the_largest_index_and_one():
+    assert s.from_splits([([0, 1], [6]), ([2], [3])]).n_data == 7
+    assert s.from_splits(KFold(3).split(np.zeros(10))).n_data == 10
