@@ -26,8 +26,9 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
 
-bench: $(VENV)/bench $(VENV)/test ## Time the core against numpy and peers
+bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
+	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 
 docs: ## Build the crate's documentation

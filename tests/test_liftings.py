@@ -187,7 +187,9 @@ def test_points_that_are_none_are_refused(method, points):
 def test_points_absurdly_far_away_are_refused_and_raise_no_warning():
     spline = ThinPlateSpline(scattered(5))
     assert np.isfinite(spline.basis([[1e100, 0.0]])).all()
-    with pytest.raises(ValueError, match=r"Invalid points\. Coordinates must not exceed 1e\+100\. Given 1e\+300\."):
+    with pytest.raises(
+        ValueError, match=r"Invalid points\. Coordinates must not exceed 1e\+100\. Given 1e\+300\."
+    ):
         spline.basis([[1e300, 0.0]])
 
 

@@ -19,6 +19,11 @@ Integers: TypeAlias = NDArray[np.int64]
 # Squares and products of coordinates must not overflow.
 LARGEST_COORDINATE = 1e100
 
+# Nor must residuals, which may exceed the responses.
+LARGEST_RESPONSE = 1e303
+
+LARGEST_INDEX = 2**63 - 1
+
 
 def refuse(name: str, rule: str, given: str, error: type[Exception] = ValueError) -> NoReturn:
     """Raise the error that all checks share."""
@@ -33,19 +38,24 @@ def describe(value: object) -> str:
     return text if len(text) <= 60 else f"{type(value).__name__} {text[:50]}..."
 
 
-def real(value: ArrayLike, name: str) -> Floats:
-    """Float64 array in C order; of real numbers, without masked entries."""
-    rule = "It must be an array of real numbers."
+def array(value: ArrayLike, name: str, rule: str, kinds: str | None = None) -> NDArray[Any]:
+    """Array without masked entries; of one of numpy's kinds of types, unless it is empty."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         refuse(name, rule, f"{np.ma.getmaskarray(value).sum()} masked entries")
     try:
-        array = np.asarray(value)
+        result = np.asarray(value)
     except (ValueError, TypeError):
         refuse(name, rule, describe(value), TypeError)
-    if array.dtype.kind not in "biuf" and array.size > 0:
+    if kinds is not None and result.dtype.kind not in kinds and result.size > 0:
         refuse(name, rule, describe(value), TypeError)
+    return result
+
+
+def real(value: ArrayLike, name: str) -> Floats:
+    """Float64 array of real numbers, aligned and in C order."""
+    numbers = array(value, name, "It must be an array of real numbers.", "biuf")
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+        return np.require(numbers, np.float64, ["C", "A"])
 
 
 def finite(array: Floats, name: str) -> Floats:
@@ -73,7 +83,7 @@ def columns(value: ArrayLike, name: str, rows: int) -> Floats:
     array = real(value, name)
     if array.ndim not in (1, 2) or array.size == 0 or len(array) != rows:
         refuse(name, f"It must have shape ({rows},) or ({rows}, r).", f"shape {array.shape}")
-    return finite(array, name)
+    return _bounded(array, name, "Its entries", LARGEST_RESPONSE)
 
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
@@ -84,31 +94,74 @@ def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     if array.ndim != 2 or array.shape[1] != dimension or len(array) == 0:
         shape = f"(n, {dimension})" if dimension else "(n, 1), (n, 2) or (n, 3)"
         refuse(name, f"It must be points of shape {shape}, at least one.", f"shape {array.shape}")
-    largest = float(np.abs(finite(array, name)).max())
-    if largest > LARGEST_COORDINATE:
-        refuse(name, f"Coordinates must not exceed {LARGEST_COORDINATE:g}.", f"{largest:g}")
+    return _bounded(array, name, "Coordinates", LARGEST_COORDINATE)
+
+
+def _bounded(array: Floats, name: str, what: str, limit: float) -> Floats:
+    """The array itself, if it is finite and not larger than a limit."""
+    largest = max(float(finite(array, name).max()), -float(array.min()))
+    if largest > limit:
+        refuse(name, f"{what} must not exceed {limit:g}.", f"{largest:g}")
     return array
+
+
+def integers(value: ArrayLike, name: str, rule: str) -> Integers:
+    """Int64 array (k,) of whole numbers, aligned and in C order."""
+    numbers = array(value, name, rule, "iu")
+    if numbers.size == 0:
+        return np.zeros(0, dtype=np.int64)
+    if numbers.ndim != 1:
+        refuse(name, rule, describe(value))
+    if numbers.dtype.kind == "u" and int(numbers.max()) > LARGEST_INDEX:
+        refuse(name, f"Its entries must not exceed {LARGEST_INDEX}.", f"{numbers.max()}")
+    return np.require(numbers, np.int64, ["C", "A"])
 
 
 def indices(value: ArrayLike, name: str, bound: int | None = None) -> Integers:
     """Distinct indices from 0 to bound - 1, (k,)."""
     rule = "It must be a list of distinct indices."
-    try:
-        array = np.asarray(value)
-    except (ValueError, TypeError):
-        refuse(name, rule, describe(value), TypeError)
-    if array.size == 0:
-        return np.zeros(0, dtype=np.int64)
-    if array.dtype.kind not in "iu":
-        refuse(name, rule, describe(value), TypeError)
-    low, high = int(array.min()), int(array.max())
+    found = _from_zero(integers(value, name, rule), name, bound)
+    if len(np.unique(found)) < len(found):
+        refuse(name, rule, describe(value))
+    return found
+
+
+def _from_zero(found: Integers, name: str, bound: int | None) -> Integers:
+    low, high = int(found.min(initial=0)), int(found.max(initial=-1))
     if bound is not None and high >= bound:
         refuse(name, f"Indices must be from 0 to {bound - 1}.", f"{high}")
     if low < 0:
         refuse(name, "Indices must not be negative.", f"{low}")
-    if array.ndim != 1 or len(np.unique(array)) < len(array):
-        refuse(name, rule, describe(value))
-    return np.ascontiguousarray(array, dtype=np.int64)
+    return found
+
+
+def sets(
+    offsets: ArrayLike, members: ArrayLike, name: str, bound: int | None = None
+) -> tuple[Integers, Integers]:
+    """Sets of indices from 0 to bound - 1 in compressed rows, increasing in each."""
+    cuts = integers(offsets, name, "Its offsets must be whole numbers.")
+    found = _from_zero(integers(members, name, "Its indices must be whole numbers."), name, bound)
+    if not cuts.size or cuts[0] != 0 or cuts[-1] != len(found) or (cuts[1:] < cuts[:-1]).any():
+        rule = f"Its offsets must rise from 0 to the number of indices, {len(found)}."
+        refuse(name, rule, describe(cuts))
+    rises = found[1:] > found[:-1]
+    inner = slice(*np.searchsorted(cuts, [1, len(found)]))
+    rises[cuts[inner] - 1] = True
+    if not rises.all():
+        i = int(rises.argmin())
+        where = f"{found[i + 1]} after {found[i]} in set {np.searchsorted(cuts, i, side='right') - 1}"
+        refuse(name, "The indices of a set must increase, so that none comes twice.", where)
+    return cuts, found
+
+
+def items(value: Any, name: str, rule: str) -> list[Any]:
+    """List of anything iterable but text."""
+    if isinstance(value, str | bytes):
+        refuse(name, rule, describe(value), TypeError)
+    try:
+        return list(value)
+    except TypeError:
+        refuse(name, rule, describe(value), TypeError)
 
 
 def count(value: Any, name: str, low: int, high: int | None = None) -> int:
@@ -165,9 +218,9 @@ def threads(value: Any) -> int:
         return min(count(value, "threads", 1), 1024)
     variable = os.environ.get("MEXPRESS_NUM_THREADS", "").strip()
     if variable:
-        if not variable.isdecimal() or int(variable) == 0:
+        if not (variable.isascii() and variable.isdecimal()) or float(variable) == 0:
             refuse("MEXPRESS_NUM_THREADS", "It must be a whole number of at least 1.", repr(variable))
-        return min(int(variable), 1024)
+        return int(min(float(variable), 1024))  # a float has room for any number of digits
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

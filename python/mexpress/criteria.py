@@ -29,7 +29,7 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress import schemes
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares import LeastSquares
+from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.schemes import Scheme
 
 __all__ = ["Criterion", "Judge", "Score", "parse"]
@@ -61,7 +61,7 @@ class Data:
     points: Floats
     diagonal: float
     seed: Any
-    threads: int | None
+    threads: int
 
 
 def _share(percent: float, n: int) -> int:
@@ -158,8 +158,6 @@ def parse(name: str) -> Criterion:
         match = re.fullmatch(pattern, plain, re.ASCII)
         if match:
             amount = float(match.group(1)) if match.groups() else 0.0
-            if not math.isfinite(amount):
-                break
             return Criterion(plain, family, amount)
     check.refuse("criterion", rule, repr(name))
 
@@ -226,11 +224,16 @@ class Judge:
         threads : int, optional
             At most so many threads.
         """
+        rule = "It must be a list of names, or schemes by name."
         if isinstance(criteria, Mapping):
+            for name, scheme in criteria.items():
+                if not (isinstance(name, str) and isinstance(scheme, Scheme)):
+                    check.refuse("criteria", rule, check.describe({name: scheme}), TypeError)
             return cls(dict.fromkeys(criteria), dict(criteria))
         whole = float(np.hypot(*np.ptp(points, axis=0))) if diagonal is None else diagonal
-        data = Data(points, whole, seed, threads)
-        parsed = {c.name: c for c in map(parse, criteria)}
+        check.generator(seed)
+        data = Data(points, whole, seed, check.threads(threads))
+        parsed = {c.name: c for c in map(parse, check.items(criteria, "criteria", rule))}
         made = {c.name: _scheme(c, data) for c in parsed.values() if c.family in SCHEMES}
         return cls(dict(parsed), made)
 
@@ -242,7 +245,7 @@ class Judge:
         if model.rank < len(model.coefficients):
             lost = Score(math.nan, np.arange(model.n_data))
             return dict.fromkeys(self.criteria, lost)
-        validated = model._cross_validate(self.schemes, threads)
+        validated = cross_validate_all(model, self.schemes, threads)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in validated:
@@ -258,13 +261,13 @@ class Judge:
 
 
 def _press(model: LeastSquares, threads: int | None) -> Score:
-    value, rows = model._press(threads)
-    return Score(value, np.unique(model._datum_of_row[rows]))
+    value, rows = leave_row_out(model, threads)
+    return Score(value, np.unique(datum_of_row(model)[rows]))
 
 
 def _scheme(criterion: Criterion, data: Data) -> Scheme:
     try:
         return SCHEMES[criterion.family](criterion.amount, data)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # the number in a name may have any number of digits
         n = len(data.points)
         check.refuse("criteria", f"{criterion.name} must suit the data: {error}", f"{n} data")

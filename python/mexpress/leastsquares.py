@@ -13,9 +13,13 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.schemes import IndexSets, Scheme, join
+from mexpress.schemes import IndexSets, Scheme, checked
 
 __all__ = ["CrossValidation", "LeastSquares", "RankLossWarning"]
+
+
+# Residuals of the lightest data lose half as many digits as the weights span.
+WEIGHT_RATIO = 1e12
 
 
 class RankLossWarning(UserWarning):
@@ -44,7 +48,7 @@ class CrossValidation:
     >>> import mexpress as mx
     >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
     >>> model.cross_validate(mx.schemes.leave_one_out(3))
-    CrossValidation(score=3.968627, 3 residuals, 0 undefined pairs)
+    CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
     """
 
     score: float
@@ -75,7 +79,7 @@ class LeastSquares:
         How rows make up data: the number of consecutive rows of each datum, or the datum of every row,
         labelled 0 to n - 1. Rows of a datum are held out together.
     weights : (n,) array, optional
-        Positive weight of each datum, in the fit and in the scores.
+        Positive weight of each datum, in the fit and in the scores; within a factor of 1e12.
     penalty : (k, p) array, optional
         Z: rows that are never held out, to be made small (`A` and `Z` both count for the rank).
     threads : int, optional
@@ -97,7 +101,7 @@ class LeastSquares:
     Raises
     ------
     ValueError, TypeError
-        If a shape does not fit, or an entry is not a finite number.
+        If a shape does not fit, an entry is not a finite number, or one of `b` exceeds 1e303.
 
     Examples
     --------
@@ -108,7 +112,7 @@ class LeastSquares:
     >>> x, y = np.arange(5.0), np.array([0.0, 1.1, 1.9, 3.0, 8.0])
     >>> model = mx.LeastSquares(np.column_stack([np.ones(5), x]), y)
     >>> model
-    LeastSquares(5 data, 5 rows, 2 columns, rank 2, fit_rms=1.169615)
+    LeastSquares(5 data, 5 rows, 2 columns, rank 2, fit_rms=1.147083)
     >>> float(model.held_out_residuals([4])[0].round(6))
     4.05
     """
@@ -136,8 +140,8 @@ class LeastSquares:
         m, p = design.shape
         responses = check.columns(b, "b", m)
         rows = _couple(coupling, m)
-        row_weights = _weigh(weights, rows, m)
-        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p)
+        row_weights, exponent = _weigh(weights, rows, m)
+        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
         wide = responses.reshape(m, -1)
         roots = None if row_weights is None else np.sqrt(row_weights)
         factor = _core.Factor(design, wide, roots, extra, check.threads(threads))
@@ -176,17 +180,9 @@ class LeastSquares:
 
         NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
         """
-        value, lost = self._press(None)
+        value, lost = leave_row_out(self, None)
         _warn(lost, len(self.leverage), "rows", "the first is row")
         return value
-
-    def _press(self, threads: int | None) -> tuple[float, Integers]:
-        m = len(self.leverage)
-        alone = IndexSets.single(m)
-        found = self._predict(Scheme(m, alone, alone), alone, threads)
-        weights = self._row_weights
-        total = float(m) if weights is None else float(weights.sum())
-        return _root_mean(found.residuals, weights, total), found.undefined
 
     def held_out_residuals(self, rows: ArrayLike) -> Floats:
         """Residuals of rows predicted from all other rows: ``e_(K) = (I - H_KK)^-1 e_K``, equation (6).
@@ -210,7 +206,7 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = IndexSets.of([order])
-        found = self._predict(Scheme(m, sets, sets), IndexSets.single(m), None)
+        found = self._predict(sets, sets, IndexSets.single(m), None)
         if len(found.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return found.residuals[np.argsort(np.argsort(order))]
@@ -238,12 +234,7 @@ class LeastSquares:
         array([[0.25, 0.25],
                [0.25, 0.25]])
         """
-        kept = self._coupling if sets is None else sets
-        if not isinstance(kept, IndexSets):
-            check.refuse(
-                "sets", "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError
-            )
-        check.indices(np.unique(kept.indices), "sets", len(self.leverage))
+        kept = self._coupling if sets is None else checked(sets, "sets", len(self.leverage))
         flat = self._factor.hat_blocks((kept.offsets, kept.indices), check.threads(threads))
         parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1]) if len(kept) else []
         return [part.reshape(q, q) for part, q in zip(parts, kept.sizes, strict=True)]
@@ -276,27 +267,10 @@ class LeastSquares:
         if not isinstance(scheme, Scheme):
             rule = "It must come from mexpress.schemes."
             check.refuse("scheme", rule, check.describe(scheme), TypeError)
-        found = self._cross_validate({"": scheme}, threads)[""]
-        _warn(found.undefined, len(scheme), "pairs", "the attribute 'undefined' of the result lists them, the first is")
+        found = cross_validate_all(self, {"": scheme}, threads)[""]
+        where = "the attribute 'undefined' of the result lists them, the first is"
+        _warn(found.undefined, len(scheme), "pairs", where)
         return found
-
-    def _cross_validate(
-        self, schemes: Mapping[str, Scheme], threads: int | None
-    ) -> dict[str, CrossValidation]:
-        """Every scheme in one call, so that the core sees all the work and shares what it can."""
-        if not schemes:
-            return {}
-        for scheme in schemes.values():
-            if scheme.n_data != self.n_data:
-                rule = f"It must be over the model's {self.n_data} data."
-                check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
-        together = self._predict(join(list(schemes.values())), self._coupling, threads)
-        ends = np.cumsum([len(scheme) for scheme in schemes.values()])
-        starts = ends - [len(scheme) for scheme in schemes.values()]
-        return {
-            name: self._part(together, first, last)
-            for name, first, last in zip(schemes, starts, ends, strict=True)
-        }
 
     def _part(self, whole: CrossValidation, first: int, last: int) -> CrossValidation:
         """The pairs first..last - 1 alone, scored."""
@@ -307,54 +281,85 @@ class LeastSquares:
         score = np.nan if len(lost) else _root_mean(residuals, weights, float(self._share_of_row(rows).sum()))
         return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
 
-    def _predict(self, scheme: Scheme, coupling: IndexSets, threads: int | None) -> CrossValidation:
+    def _predict(
+        self, held: IndexSets, validated: IndexSets, coupling: IndexSets, threads: int | None
+    ) -> CrossValidation:
         """Residuals of all pairs, not yet scored."""
-        held, validated = scheme.held_out, scheme.validated
         residuals, rows, offsets, lost = self._factor.predict(
             (held.offsets, held.indices),
             (validated.offsets, validated.indices),
             (coupling.offsets, coupling.indices),
             check.threads(threads),
         )
-        pairs = np.repeat(np.arange(len(scheme)), np.diff(offsets))
+        pairs = np.repeat(np.arange(len(held)), np.diff(offsets))
         flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
         return CrossValidation(np.nan, flat, rows, pairs, lost)
 
-    @property
-    def _datum_of_row(self) -> Integers:
-        data = np.empty(len(self.leverage), dtype=np.int64)
-        data[self._coupling.indices] = np.repeat(np.arange(self.n_data), self._coupling.sizes)
-        return data
-
     def _share_of_row(self, rows: Integers | slice) -> Floats:
         """Weights of rows, each a part of its datum's: a datum's weight counts once, however many rows it has."""
-        parts = np.reciprocal(self._coupling.sizes[self._datum_of_row[rows]], dtype=np.float64)
+        parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
         return parts if self._row_weights is None else parts * self._row_weights[rows]
+
+
+def datum_of_row(model: LeastSquares) -> Integers:
+    """The datum that each row of the design belongs to, (m,)."""
+    data = np.empty(len(model.leverage), dtype=np.int64)
+    data[model._coupling.indices] = np.repeat(np.arange(model.n_data), model._coupling.sizes)
+    return data
+
+
+def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Integers]:
+    """PRESS, and the rows that alone determine some part of the model."""
+    m, weights = len(model.leverage), model._row_weights
+    alone = IndexSets.single(m)
+    found = model._predict(alone, alone, alone, threads)
+    total = float(m) if weights is None else float(weights.sum())
+    return _root_mean(found.residuals, weights, total), found.undefined
+
+
+def cross_validate_all(
+    model: LeastSquares, schemes: Mapping[str, Scheme], threads: int | None
+) -> dict[str, CrossValidation]:
+    """Every scheme in one call, so that the core sees all the work and shares what it can."""
+    if not schemes:
+        return {}
+    for scheme in schemes.values():
+        if scheme.n_data != model.n_data:
+            rule = f"It must be over the model's {model.n_data} data."
+            check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
+    held = IndexSets.chain(scheme.held_out for scheme in schemes.values())
+    validated = IndexSets.chain(scheme.validated for scheme in schemes.values())
+    together = model._predict(held, validated, model._coupling, threads)
+    ends = np.cumsum([len(scheme) for scheme in schemes.values()])
+    starts = ends - [len(scheme) for scheme in schemes.values()]
+    return {
+        name: model._part(together, first, last)
+        for name, first, last in zip(schemes, starts, ends, strict=True)
+    }
 
 
 def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:
     """sqrt(sum w ||e||^2 / total), free of overflow."""
     if residuals.size == 0:
         return float("nan")
-    squares = residuals.reshape(len(residuals), -1)
-    largest = float(np.abs(squares).max())
-    if largest == 0.0 or np.isnan(largest):
+    errors = residuals.reshape(len(residuals), -1)
+    if weights is not None:
+        errors = np.sqrt(weights)[:, None] * errors
+    largest = float(np.abs(errors).max())
+    if largest == 0.0 or not np.isfinite(largest):
         return largest
-    squares = ((squares / largest) ** 2).sum(axis=1)
-    return largest * float(np.sqrt((squares if weights is None else weights * squares).sum() / total))
+    return largest * float(np.sqrt(((errors / largest) ** 2).sum() / total))
 
 
 def _couple(coupling: Any, m: int) -> IndexSets:
     """Rows of every datum."""
-    if np.ndim(coupling) == 0:
+    rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
+    if check.array(coupling, "coupling", rule).ndim == 0:
         g = check.count(coupling, "coupling", 1)
         if m % g:
             check.refuse("coupling", f"It must divide the {m} rows of A.", str(g))
         return IndexSets(np.arange(0, m + 1, g), np.arange(m))
-    labels = np.asarray(coupling)
-    rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
-    if labels.dtype.kind not in "iu":
-        check.refuse("coupling", rule, check.describe(coupling), TypeError)
+    labels = check.integers(coupling, "coupling", rule)
     if labels.shape != (m,) or labels.min() < 0 or labels.max() >= m:
         check.refuse("coupling", rule, check.describe(coupling))
     sizes = np.bincount(labels)
@@ -364,10 +369,13 @@ def _couple(coupling: Any, m: int) -> IndexSets:
     return IndexSets(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), order)
 
 
-def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> Floats | None:
-    """Weight of every row, from one for each datum."""
+def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats | None, int]:
+    """Weight of every row, divided by the power of four that brings the largest near one, and its exponent.
+
+    Fits and scores depend on ratios alone, and roots of these weights times responses do not overflow.
+    """
     if weights is None:
-        return None
+        return None, 0
     given = check.real(weights, "weights")
     n = len(rows)
     rule = f"It must be {n} positive numbers, one for each datum."
@@ -376,19 +384,31 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> Floats | None:
     if check.finite(given, "weights").min() <= 0:
         rule += " Leave out data that shall not count."
         check.refuse("weights", rule, f"{given.min()} for datum {int(given.argmin())}")
+    if given.min() < given.max() / WEIGHT_RATIO:
+        rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
+        check.refuse("weights", rule, f"{given.max():g} and {given.min():g}")
+    exponent = int(np.frexp(given.max())[1]) // 2
     row_weights = np.empty(m)
-    row_weights[rows.indices] = np.repeat(given, rows.sizes)
-    return row_weights
+    row_weights[rows.indices] = np.repeat(np.ldexp(given, -2 * exponent), rows.sizes)
+    return row_weights, exponent
 
 
-def _penalise(penalty: ArrayLike, p: int) -> Floats:
+def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
+    """Penalty rows beside weights that are divided by a power of four."""
     extra = check.real(penalty, "penalty")
     if extra.ndim != 2 or extra.shape[1] != p:
         check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {extra.shape}")
-    return check.finite(extra, "penalty")
+    with np.errstate(over="ignore"):
+        scaled = np.ldexp(check.finite(extra, "penalty"), -exponent)
+    if not np.isfinite(scaled).all():
+        rule = "It must not exceed 1e308 times the root of the largest weight."
+        check.refuse("penalty", rule, f"{np.abs(extra).max():g}")
+    return scaled
 
 
 def _warn(lost: Integers, total: int, what: str, where: str) -> None:
     if len(lost):
-        text = f"{len(lost)} of {total} {what} lose rank when held out, so there is no score: {where} {lost[0]}."
+        text = (
+            f"{len(lost)} of {total} {what} lose rank when held out, so there is no score: {where} {lost[0]}."
+        )
         warnings.warn(RankLossWarning(text), stacklevel=3)

@@ -13,7 +13,7 @@ from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _core
 from mexpress import _validation as check
@@ -41,6 +41,8 @@ MOST_INDICES = 100_000_000
 class IndexSets(Sequence[Integers]):
     """Sets of indices in compressed rows: a sequence of int64 arrays.
 
+    Whoever takes sets checks them: a `Scheme`, and `LeastSquares.hat_blocks`.
+
     Parameters
     ----------
     offsets : (k + 1,) int64 array
@@ -67,6 +69,13 @@ class IndexSets(Sequence[Integers]):
         return cls(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
 
     @classmethod
+    def chain(cls, parts: Iterable[IndexSets]) -> IndexSets:
+        """All sets of several, one after another."""
+        whole = list(parts)
+        sizes = np.concatenate([[0], *(part.sizes for part in whole)])
+        return cls(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
+
+    @classmethod
     def single(cls, n: int) -> IndexSets:
         """Each of n indices alone."""
         return cls(np.arange(n + 1), np.arange(n))
@@ -75,6 +84,19 @@ class IndexSets(Sequence[Integers]):
     def sizes(self) -> Integers:
         """Number of members of each set, (k,)."""
         return np.diff(self.offsets)
+
+    def hold(self, others: IndexSets) -> NDArray[np.bool_]:
+        """Whether each of the others' indices, in order, is in the set of the same number."""
+        last = max(len(self.indices) - 1, 0)
+        first, count = (np.repeat(each, others.sizes) for each in (self.offsets[:-1], self.sizes))
+        end = first + count
+        while count.any():  # bisection of all sets at once
+            half = count // 2
+            below = (count > 0) & (self.indices[np.minimum(first + half, last)] < others.indices)
+            first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)
+        found = first < end
+        found[found] = self.indices[first[found]] == others.indices[found]
+        return found
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -107,6 +129,11 @@ class Scheme:
     validated : IndexSets
         Data whose prediction is scored, for each pair: a subset of those held out.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If an index is not below n_data, a set does not increase, or a datum is validated without being held out.
+
     Examples
     --------
     >>> import mexpress as mx
@@ -118,6 +145,18 @@ class Scheme:
     held_out: IndexSets
     validated: IndexSets
 
+    def __post_init__(self) -> None:
+        n = check.count(self.n_data, "n_data", 1)
+        held = validated = checked(self.held_out, "held_out", n)
+        if self.validated is not self.held_out:
+            validated = checked(self.validated, "validated", n)
+            if len(held) != len(validated):
+                rule = f"It must have one set for each of the {len(held)} that are held out."
+                check.refuse("validated", rule, f"{len(validated)} sets")
+            _expect_held(held, validated, "validated", "Validated data must be held out.")
+        for name, value in (("n_data", n), ("held_out", held), ("validated", validated)):
+            object.__setattr__(self, name, value)
+
     def __len__(self) -> int:
         return len(self.held_out)
 
@@ -128,19 +167,20 @@ class Scheme:
         return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
 
 
-def join(schemes: Sequence[Scheme]) -> Scheme:
-    """All pairs of several schemes over the same data, one after another."""
+def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
+    """Index sets that users made, with indices from 0 to bound - 1."""
+    if not isinstance(sets, IndexSets):
+        check.refuse(name, "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
+    return IndexSets(*check.sets(sets.offsets, sets.indices, name, bound))
 
-    def joined(sets: Sequence[IndexSets]) -> IndexSets:
-        sizes = np.concatenate([s.sizes for s in sets])
-        return IndexSets(
-            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-            np.concatenate([s.indices for s in sets]),
-        )
 
-    return Scheme(
-        schemes[0].n_data, joined([s.held_out for s in schemes]), joined([s.validated for s in schemes])
-    )
+def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
+    """Every validated datum is held out."""
+    inside = held.hold(validated)
+    if not inside.all():
+        i = int(inside.argmin())
+        number = np.searchsorted(validated.offsets, i, side="right") - 1
+        check.refuse(name, rule, f"datum {validated.indices[i]} in {pair} {number}")
 
 
 def leave_one_out(n: int) -> Scheme:
@@ -208,7 +248,8 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     where = check.points(points, "points", dimension=None)
     rule = "It must be a number of at least 0."
     reach = check.number(radius, "radius", rule, 0.0)
-    return _around(where, lambda: _core.neighbours_within(where, reach, check.threads(threads)))
+    workers = check.threads(threads)
+    return _around(where, lambda: _core.neighbours_within(where, reach, workers))
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
@@ -231,7 +272,8 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     """
     where = check.points(points, "points", dimension=None)
     k = check.count(k, "k", 1, len(where))
-    return _around(where, lambda: _core.neighbours_nearest(where, k, check.threads(threads)))
+    workers = check.threads(threads)
+    return _around(where, lambda: _core.neighbours_nearest(where, k, workers))
 
 
 def delaunay(points: ArrayLike) -> Scheme:
@@ -366,27 +408,19 @@ def from_sets(
     bound = None if n is None else check.count(n, "n", 1)
     held = _listed(held_out, "held_out", bound)
     kept = held if validated is None else _listed(validated, "validated", bound)
-    if len(held) != len(kept):
-        rule = f"It must have one set for each of the {len(held)} that are held out."
-        check.refuse("validated", rule, f"{len(kept)} sets")
-    for s, (out, scored) in enumerate(zip(held, kept, strict=True)):
-        if not np.isin(scored, out, assume_unique=True).all():
-            stray = np.setdiff1d(scored, out)[0]
-            check.refuse("validated", "Validated data must be held out.", f"datum {stray} in set {s}")
-    sets = IndexSets.of(held)
-    largest = int(sets.indices.max()) if len(sets.indices) else 0
-    return Scheme(largest + 1 if bound is None else bound, sets, IndexSets.of(kept))
+    return Scheme(_number(held, kept) if bound is None else bound, held, kept)
 
 
-def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> list[Integers]:
-    rule = "It must be a list of index arrays."
-    if isinstance(sets, str | bytes):
-        check.refuse(name, rule, check.describe(sets), TypeError)
-    try:
-        items = list(sets)
-    except TypeError:
-        check.refuse(name, rule, check.describe(sets), TypeError)
-    return [check.indices(s, f"{name}[{i}]", bound) for i, s in enumerate(items)]
+def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> IndexSets:
+    """Sets that users list, their indices in any order."""
+    rule = "It must be a list of distinct indices."
+    items = enumerate(check.items(sets, name, "It must be a list of index arrays."))
+    return checked(IndexSets.of(check.integers(s, f"{name}[{i}]", rule) for i, s in items), name, bound)
+
+
+def _number(*sets: IndexSets) -> int:
+    """One more than the largest index."""
+    return 1 + max(int(s.indices.max(initial=0)) for s in sets)
 
 
 def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = None) -> Scheme:
@@ -408,19 +442,26 @@ def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = N
     >>> mx.schemes.from_splits([([0, 1], [2]), ([2], [0])])
     Scheme(2 pairs over 3 data, 1 to 2 held out)
     """
+    bound = None if n is None else check.count(n, "n", 1)
     rule = "It must be a list of (train, test) index arrays."
-    if isinstance(splits, str | bytes):
-        check.refuse("splits", rule, check.describe(splits), TypeError)
+    listed = check.items(splits, "splits", rule)
     try:
-        pairs = [(train, test) for train, test in splits]
+        pairs = [(train, test) for train, test in listed]
     except (TypeError, ValueError):
         check.refuse("splits", rule, check.describe(splits), TypeError)
-    trains = _listed([train for train, _ in pairs], "train", n)
-    tests = _listed([test for _, test in pairs], "test", n)
-    for s, (train, test) in enumerate(zip(trains, tests, strict=True)):
-        if np.intersect1d(train, test).size:
-            check.refuse("splits", "Test data must not be trained on.", f"a common datum in split {s}")
-    largest = max((int(a.max()) for a in chain(trains, tests) if a.size), default=-1)
-    total = largest + 1 if n is None else check.count(n, "n", 1)
-    everything = np.arange(total)
-    return from_sets([np.setdiff1d(everything, train) for train in trains], tests, n=max(total, 1))
+    trains = _listed([train for train, _ in pairs], "train", bound)
+    tests = _listed([test for _, test in pairs], "test", bound)
+    total = _number(trains, tests) if bound is None else bound
+    left = len(pairs) * total - len(trains.indices)
+    if left > MOST_INDICES:
+        rule = f"The data that are not trained on must fit in {MOST_INDICES} indices."
+        check.refuse("splits", rule, f"{left}, in {len(pairs)} splits of {total} data")
+    held = IndexSets.of(_complement(train, total) for train in trains)
+    _expect_held(held, tests, "splits", "Test data must not be trained on.", "split")
+    return Scheme(total, held, tests)
+
+
+def _complement(some: Integers, n: int) -> Integers:
+    others = np.ones(n, dtype=np.bool_)
+    others[some] = False
+    return np.flatnonzero(others)

@@ -17,7 +17,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, Score, parse
 from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import make_lifting
-from mexpress.placement import lloyd
+from mexpress.placement import covered_region, lloyd
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
 from mexpress.warps import Warp, matched, warp_design
@@ -70,18 +70,6 @@ class Selection:
             )
         return chosen
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the criteria against the number of control points (needs the extra ``plot``).
-
-        Parameters
-        ----------
-        path : path, optional
-            Where to save the figure; its ending says the format.
-        """
-        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
-
-        return plot_selection(self, path)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarpSelection(Selection):
@@ -106,6 +94,18 @@ class WarpSelection(Selection):
     def warp(self) -> Warp:
         """The warp with the selected number of control points."""
         return self.warps[self.count]
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the criteria against the number of control points (needs the extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
+
+        return plot_selection(self, path)
 
     def __repr__(self) -> str:
         score = self.curves[self.criterion][self.counts == self.count][0]
@@ -191,14 +191,15 @@ def select_warp(
     >>> target = 1.2 * source + bend + rng.normal(0, 0.5, source.shape)
     >>> selection = mx.select_warp(source, target, criterion="ER05", image_size=(640, 640), counts=range(3, 20))
     >>> selection.selected["FIT"], 6 <= selection.count < 19
-    (19, True)
+    (18, True)
     >>> selection.warp([[320, 320]]).shape
     (1, 2)
     """
     source, target = matched(source, target)
+    covered_region(source, "source")  # else it is the points of `lloyd` that are to blame
     tried = _counts(counts, len(source))
     size = check.image_size(image_size)
-    if placement != "lloyd":
+    if not isinstance(placement, str) or placement != "lloyd":
         check.refuse("placement", 'It must be "lloyd".', check.describe(placement))
     diagonal = None if size is None else math.hypot(*size)
     name, judge = _judge(criterion, criteria, source, diagonal, seed, threads)
@@ -225,10 +226,9 @@ def _counts(counts: ArrayLike | None, n: int) -> list[int]:
             check.refuse("source", "There must be four matches at least to choose between models.", f"{n}")
         return list(range(3, max(largest_count(n), 3) + 1))
     tried = check.indices(list(counts) if isinstance(counts, range) else counts, "counts")
-    if tried.size == 0 or tried.min() < 3:
-        check.refuse(
-            "counts", "They must be one or more, of at least 3 control points.", check.describe(counts)
-        )
+    if tried.size == 0 or tried.min() < 3 or tried.max() > n:
+        rule = f"They must be one or more, from 3 to the number of matches, {n}."
+        check.refuse("counts", rule, check.describe(counts))
     return sorted(tried.tolist())
 
 
@@ -241,12 +241,11 @@ def _judge(
     threads: int | None,
 ) -> tuple[str, Judge]:
     """The selecting criterion's name, and a judge of it and the others."""
-    if isinstance(criteria, str):
-        check.refuse("criteria", "It must be a list of names.", repr(criteria), TypeError)
-    if isinstance(criteria, Mapping) and criterion in criteria:
-        return criterion, Judge.of(criteria, points)
     own = criteria if isinstance(criteria, Mapping) else {}
-    names = DEFAULT_CRITERIA if criteria is None or own else tuple(criteria)
+    if isinstance(criterion, str) and criterion in own:
+        return criterion, Judge.of(own, points)
+    named = DEFAULT_CRITERIA if criteria is None or own else criteria
+    names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
     chosen = parse(criterion).name
     judge = Judge.of([*names, chosen], points, diagonal, seed, threads)
     extra = Judge.of(own, points)

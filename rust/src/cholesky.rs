@@ -87,15 +87,18 @@ impl Bordered {
         // Panel by panel: the writes are then contiguous, and the reads find their rows in the cache.
         for panel in 0..panels {
             let at = self.skip + panel * stride;
-            let columns = self.storage[at..at + terms * PANEL].chunks_exact_mut(PANEL);
+            let (columns, _) = self.storage[at..at + terms * PANEL].as_chunks_mut::<PANEL>();
             let first = panel * PANEL;
             if first + PANEL <= order {
-                for (t, column) in columns.enumerate() {
-                    column.copy_from_slice(&head(t)[first..first + PANEL]);
+                for (t, column) in columns.iter_mut().enumerate() {
+                    // Of a length that the compiler knows: a move, not a call.
+                    if let Some(lanes) = head(t)[first..].first_chunk::<PANEL>() {
+                        *column = *lanes;
+                    }
                 }
             } else {
                 let (kept, skipped) = (order.max(first) - first, first.max(order) - order);
-                for (t, column) in columns.enumerate() {
+                for (t, column) in columns.iter_mut().enumerate() {
                     let tail = border(t).get(skipped..).unwrap_or_default();
                     let given = tail.len().min(PANEL - kept);
                     column[..kept].copy_from_slice(&head(t)[first.min(order)..order]);
@@ -134,9 +137,9 @@ impl Bordered {
         Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
     }
 
-    /// Squared length of the forward solve of border row `row`.
-    pub fn forward_square(&self, row: usize) -> f64 {
-        self.forward(row).map(|y| y * y).sum()
+    /// Inner product of the forward solves of two border rows.
+    pub fn forward_dot(&self, row: usize, other: usize) -> f64 {
+        self.forward(row).zip(self.forward(other)).map(|(x, y)| x * y).sum()
     }
 
     fn forward(&self, row: usize) -> impl Iterator<Item = f64> {
@@ -303,11 +306,11 @@ impl Factor<'_> {
         let first = column * PANEL;
         let width = PANEL.min(self.shape.order - first);
         let at = column * self.shape.stride() + (self.shape.terms + first) * PANEL;
-        let block = &mut self.storage[at..at + width * PANEL];
+        let (block, _) = self.storage[at..at + width * PANEL].as_chunks_mut::<PANEL>();
         let mut smallest = f64::INFINITY;
         for k in 0..width {
-            let (done, rest) = block.split_at_mut((k + 1) * PANEL);
-            let pivot: &mut [f64; PANEL] = (&mut done[k * PANEL..]).try_into().unwrap();
+            // A copy, in registers: stores cannot touch it, so the lanes below are one vector.
+            let mut pivot = block[k];
             let value = pivot[k];
             if value.is_nan() || value <= 0.0 {
                 return 0.0;
@@ -316,11 +319,9 @@ impl Factor<'_> {
             let inverse = value.sqrt().recip();
             self.inverse_pivots[first + k] = inverse;
             pivot.iter_mut().for_each(|x| *x *= inverse);
-            for (j, other) in rest.chunks_exact_mut(PANEL).enumerate() {
-                let factor = pivot[k + 1 + j];
-                for (o, p) in other.iter_mut().zip(&*pivot) {
-                    *o -= p * factor;
-                }
+            block[k] = pivot;
+            for (other, factor) in block.iter_mut().zip(pivot).skip(k + 1) {
+                *other = std::array::from_fn(|lane| other[lane] - pivot[lane] * factor);
             }
         }
         smallest

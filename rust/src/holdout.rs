@@ -16,9 +16,12 @@ use crate::pool::Pool;
 use crate::refit::Refit;
 use crate::scheme::Sets;
 
-/// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with ten digits: its
+/// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
 /// error is about eps / lambda_min(M).
-const SAFE: f64 = 1e-4;
+const SAFE: f64 = 1e-5;
+
+/// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
+const CARRIED: usize = 4;
 
 /// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
 const PROBES: usize = 2;
@@ -268,7 +271,7 @@ impl Workspace {
     fn new(factor: &Factor, plan: &Plan) -> Self {
         let mut system = Bordered::default();
         let (q, p) = (plan.largest, factor.rank);
-        let border = factor.responses + PROBES;
+        let border = factor.responses + PROBES + CARRIED;
         let dual = q.min(if plan.hat.is_some() { q } else { p });
         system.reserve(dual, border, if plan.hat.is_some() { 0 } else { p });
         system.reserve(p, border, q);
@@ -322,7 +325,7 @@ impl Workspace {
         out: &mut [f64],
     ) -> Result<Status, Error> {
         out.fill(f64::NAN);
-        let least = self.primal_factor(factor);
+        let least = self.primal_factor(factor, &(0..0));
         let Self { system, rows, validated, refit, .. } = self;
         let status = refit.predict(factor, problem, pool, (system, least), (rows, *validated), out)?;
         self.unweight(factor, out);
@@ -336,9 +339,9 @@ impl Workspace {
         }
     }
 
-    /// Begins a system with a border of right-hand sides and probes.
-    fn start(&mut self, order: usize, responses: usize, terms: usize) {
-        self.system.start(order, responses + PROBES, terms);
+    /// Begins a system with a border of right-hand sides, probes, and `carried` rows.
+    fn start(&mut self, order: usize, responses: usize, terms: usize, carried: usize) {
+        self.system.start(order, responses + PROBES + carried, terms);
         for probe in 0..PROBES {
             for j in 0..order {
                 *self.system.entry(order + responses + probe, j) = sign(probe, j);
@@ -353,7 +356,7 @@ impl Workspace {
         if smallest <= 0.0 {
             return 0.0;
         }
-        let probe = |k| self.system.forward_square(responses + k) - 10.0 * order as f64;
+        let probe = |k| self.system.forward_dot(responses + k, responses + k) - 10.0 * order as f64;
         (0..PROBES)
             .map(probe)
             .fold(smallest, |least, grown| if grown > 0.0 { least.min(grown.recip()) } else { least })
@@ -391,7 +394,7 @@ impl Workspace {
 
     fn dual(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> f64 {
         let (q, responses) = (self.rows.len(), factor.responses);
-        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank });
+        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank }, 0);
         for (i, &row) in self.rows.iter().enumerate() {
             match hat {
                 None => self.system.set_row(i, factor.basis_row(row)),
@@ -416,23 +419,38 @@ impl Workspace {
         least
     }
 
-    fn primal_factor(&mut self, factor: &Factor) -> f64 {
-        self.start(factor.rank, factor.responses, self.rows.len());
+    fn primal_factor(&mut self, factor: &Factor, carried: &Range<usize>) -> f64 {
+        self.start(factor.rank, factor.responses, self.rows.len(), carried.len());
         let rows = &self.rows;
+        for (k, &row) in rows[carried.clone()].iter().enumerate() {
+            for (j, &q) in factor.basis_row(row).iter().enumerate() {
+                *self.system.entry(factor.rank + factor.responses + PROBES + k, j) = q;
+            }
+        }
         self.system.set_terms(|t| factor.basis_row(rows[t]), |t| factor.residual_row(rows[t]));
         self.factor(factor.rank, factor.responses)
     }
 
     fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
         let responses = factor.responses;
-        let least = self.primal_factor(factor);
-        if least >= SAFE {
-            let validated = &self.rows[self.rows.len() - self.validated..];
-            for c in 0..responses {
-                // The border came out as -L^-1 Q_K^T e_K.
+        let validated = self.rows.len() - self.validated..self.rows.len();
+        let carry = validated.len() <= CARRIED;
+        let least = self.primal_factor(factor, if carry { &validated } else { &(0..0) });
+        if least < SAFE {
+            return least;
+        }
+        for c in 0..responses {
+            let rows = self.rows[validated.clone()].iter().enumerate();
+            // The border came out as y = -L^-1 Q_K^T e_K, and carried rows as u = L^-1 q.
+            if carry {
+                for (k, &row) in rows {
+                    let change = self.system.forward_dot(c, responses + PROBES + k);
+                    out[k * responses + c] = factor.residual_row(row)[c] - change;
+                }
+            } else {
                 let z = self.system.back_solve(c, 0);
-                for (e, &row) in out.iter_mut().skip(c).step_by(responses).zip(validated) {
-                    *e = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
+                for (k, &row) in rows {
+                    out[k * responses + c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
                 }
             }
         }

@@ -72,7 +72,7 @@ impl<'a> Pool<'a> {
 }
 
 /// Thread pools by process and size.
-type Pools = HashMap<(u32, usize), Arc<ThreadPool>>;
+type Pools = HashMap<(u32, usize), Option<Arc<ThreadPool>>>;
 
 /// A forked child inherits this map but not the threads behind it, hence the process id in the key. Its
 /// parent's pools are kept, not dropped: dropping one would wait for threads that do not exist. None if the
@@ -81,12 +81,12 @@ fn threads_of_this_process(threads: usize) -> Option<Arc<ThreadPool>> {
     static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
     let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
     let pools = pools.get_or_insert_default();
-    let key = (std::process::id(), threads);
-    if !pools.contains_key(&key) {
+    let slot = pools.entry((std::process::id(), threads)).or_default();
+    if slot.is_none() {
         let builder = ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("mexpress-{i}"));
-        pools.insert(key, Arc::new(builder.build().ok()?));
+        *slot = builder.build().ok().map(Arc::new);
     }
-    pools.get(&key).cloned()
+    slot.clone()
 }
 
 #[cfg(test)]
