@@ -440,6 +440,17 @@ def test_weights_are_positive(bad):
     assert "datum 7" in text
 
 
+def test_weights_span_no_more_than_the_residuals_can_bear():
+    weights = np.ones(N)
+    weights[3] = 1e-11
+    model = mx.LeastSquares(A, B, weights=weights)
+    D = 1 / np.linalg.norm(np.sqrt(weights)[:, None] * A, axis=0)
+    x = np.linalg.lstsq(np.sqrt(weights)[:, None] * A * D, np.sqrt(weights) * B, rcond=None)[0]
+    np.testing.assert_allclose(model.residuals, B - A * D @ x, rtol=0, atol=1e-9)
+    weights[3] = 1e-13
+    assert "1e+12 times" in refused(lambda: mx.LeastSquares(A, B, weights=weights), "weights", ValueError)
+
+
 def test_weights_are_one_for_each_datum():
     for weights in (np.ones(N), np.ones((N // 2, 1)), 1.0, np.ones(N // 2 + 1)):
         refused(lambda w=weights: mx.LeastSquares(A, B, 2, w), "weights", ValueError)

@@ -72,6 +72,8 @@ class IndexSets(Sequence[Integers]):
     def chain(cls, parts: Iterable[IndexSets]) -> IndexSets:
         """All sets of several, one after another."""
         whole = list(parts)
+        if len(whole) == 1:
+            return whole[0]
         sizes = np.concatenate([[0], *(part.sizes for part in whole)])
         return cls(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
 
