@@ -122,7 +122,17 @@ proptest! {
             .map(|k| (0..m).map(|t| h[k / m * m + t] * h[t * m + k % m]).sum())
             .collect();
         prop_assert!(close(&square, &h, 1e-13));
-        prop_assert!((0..m * m).all(|k| h[k].to_bits() == h[k % m * m + k / m].to_bits()));
+        // H maps the weighted responses to the weighted fit, and is symmetric: so does its transpose.
+        let root = |i: usize| plain.weights[i].sqrt();
+        let residuals = fit.plain_residuals();
+        for c in 0..fit.responses {
+            let at = |i: usize| i * fit.responses + c;
+            for i in 0..m {
+                let fitted = (plain.targets[at(i)] - residuals[at(i)]) * root(i);
+                let mapped: f64 = (0..m).map(|t| h[t * m + i] * plain.targets[at(t)] * root(t)).sum();
+                prop_assert!((mapped - fitted).abs() < 1e-12);
+            }
+        }
         let trace: f64 = (0..m).map(|i| h[i * m + i]).sum();
         prop_assert!((trace - fit.rank as f64).abs() < 1e-12);
         prop_assert!(close(&fit.leverage, &(0..m).map(|i| h[i * m + i]).collect::<Vec<_>>(), 1e-15));
@@ -154,6 +164,14 @@ proptest! {
         let reversed: Vec<usize> = (0..case.rows).rev().collect();
         let (fit, turned) = (case.fit(), case.keep(&reversed).fit());
         prop_assert!(close(&turned.coefficients, &fit.coefficients, 1e-9));
+        let there = case.predict(&fit, &singles(case.rows), &singles(case.rows), 1);
+        let back = case.keep(&reversed).predict(&turned, &singles(case.rows), &singles(case.rows), 1);
+        for i in 0..case.rows {
+            let (r, j) = (case.responses, case.rows - 1 - i);
+            if there.status[i] == Status::Closed {
+                prop_assert!(close(&back.residuals[j * r..(j + 1) * r], &there.residuals[i * r..(i + 1) * r], 1e-9));
+            }
+        }
         let leverage: Vec<f64> = turned.leverage.iter().rev().copied().collect();
         prop_assert!(close(&leverage, &fit.leverage, 1e-12));
     }
@@ -207,7 +225,8 @@ proptest! {
     }
 }
 
-/// Tall enough for many blocks: the stacked factorisation is still orthonormal, and still the design's.
+/// Tall enough for many blocks and many chunks: the stacked factorisation is still orthonormal and still the design's, and
+/// threads change no bit.
 #[test]
 fn tall_designs_keep_an_orthonormal_basis() {
     let (rows, columns) = (9001, 11);
@@ -229,6 +248,13 @@ fn tall_designs_keep_an_orthonormal_basis() {
         }
     }
     assert!(close(&fit.plain_residuals(), &case.residuals(&fit, &(0..rows).collect::<Vec<_>>()), 1e-12));
+    let windows: Sets = (0..rows).map(|i| (i..rows.min(i + 1 + i % 20)).collect()).collect();
+    let bits = |x: Vec<f64>| x.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+    let [one, three] = [1, 3].map(|threads| {
+        let fit = case.fit_on(threads);
+        (bits(case.predict(&fit, &windows, &singles(rows), threads).residuals), bits(fit.basis))
+    });
+    assert!(one == three);
 }
 
 #[test]

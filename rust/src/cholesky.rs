@@ -18,7 +18,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 const PANEL: usize = 8;
 
-/// Columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
+/// Panels of columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
 const BLOCK: usize = 8;
 
 /// Workspace of the bordered factorisation. Reused from pair to pair; grows, never shrinks.
@@ -97,13 +97,10 @@ impl Bordered {
                     }
                 }
             } else {
-                let (kept, skipped) = (order.max(first) - first, first.max(order) - order);
                 for (t, column) in columns.iter_mut().enumerate() {
-                    let tail = border(t).get(skipped..).unwrap_or_default();
-                    let given = tail.len().min(PANEL - kept);
-                    column[..kept].copy_from_slice(&head(t)[first.min(order)..order]);
-                    column[kept..kept + given].copy_from_slice(&tail[..given]);
-                    column[kept + given..].fill(0.0);
+                    let (head, border) = (head(t), border(t));
+                    let entry = |row: usize| head.get(row).or_else(|| border.get(row - order));
+                    *column = std::array::from_fn(|lane| entry(first + lane).copied().unwrap_or(0.0));
                 }
             }
         }

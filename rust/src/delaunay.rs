@@ -4,6 +4,7 @@ use spade::{DelaunayTriangulation, Point2, Triangulation, mitigate_underflow};
 
 use crate::error::Error;
 use crate::neighbours::{places, scaled, unit_scale};
+use crate::pool::Pool;
 use crate::scheme::{MOST_MEMBERS, Sets};
 
 /// For every point, itself, the points that coincide with it, and those at the places joined to its own by an
@@ -15,12 +16,14 @@ use crate::scheme::{MOST_MEMBERS, Sets};
 ///
 /// ```
 /// use mexpress::delaunay::delaunay;
-/// let sets = delaunay(&[0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0, 0.0])?;
+/// let never = std::sync::atomic::AtomicBool::new(false);
+/// let points = [0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0, 0.0];
+/// let sets = delaunay(&points, &mexpress::pool::Pool::new(1, &never))?;
 /// assert_eq!(sets.get(0), &[0, 1]);
 /// assert_eq!(sets.get(2), &[1, 2, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn delaunay(points: &[f64]) -> Result<Sets, Error> {
+pub fn delaunay(points: &[f64], pool: &Pool<'_>) -> Result<Sets, Error> {
     if points.len() % 2 == 1 {
         return Err(Error::Length { expected: points.len() - 1, given: points.len() });
     }
@@ -29,8 +32,11 @@ pub fn delaunay(points: &[f64]) -> Result<Sets, Error> {
         let safe = mitigate_underflow(Point2::new(x, y));
         [safe.x, safe.y]
     });
-    let (distinct, members) = places(&flushed.collect::<Vec<_>>());
-    let joined = joined_places(&distinct)?;
+    let flushed: Vec<_> = flushed.collect();
+    let (members, joined) = pool.aside(move || {
+        let (distinct, members) = places(&flushed);
+        joined_places(&distinct).map(|joined| (members, joined))
+    })??;
     let mut place_of = vec![0; points.len() / 2];
     for place in 0..members.len() {
         for &i in members.get(place) {
@@ -67,6 +73,7 @@ fn joined_places(distinct: &[[f64; 2]]) -> Result<Vec<Vec<usize>>, Error> {
     }
     Ok(joined)
 }
+
 /// Decided exactly, by the triangulation's own predicates.
 fn on_one_line(distinct: &[[f64; 2]]) -> Result<bool, Error> {
     let [first, between @ .., last] = distinct else { return Ok(true) };
@@ -89,6 +96,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn triangulated(points: &[f64]) -> Result<Sets, Error> {
+        delaunay(points, &Pool::new(1, &std::sync::atomic::AtomicBool::new(false)))
+    }
 
     type Place = [i64; 2];
 
@@ -185,8 +196,8 @@ mod tests {
 
     fn check_sets(data: &[Place], scale: f64) {
         let points: Vec<f64> = data.iter().flatten().map(|&c| c as f64 * scale).collect();
-        let sets = delaunay(&points).unwrap();
-        assert_eq!(sets, delaunay(&points).unwrap());
+        let sets = triangulated(&points).unwrap();
+        assert_eq!(sets, triangulated(&points).unwrap());
         assert_eq!(sets.len(), data.len());
         let (places, place_of) = distinct(data);
         let first: Vec<usize> =
@@ -232,26 +243,26 @@ mod tests {
 
     #[test]
     fn few_points() {
-        assert!(delaunay(&[]).unwrap().is_empty());
-        assert_eq!(delaunay(&[1.0, 2.0]).unwrap().items, [0]);
-        assert_eq!(delaunay(&[1.0, 2.0, 3.0, 4.0]).unwrap().items, [0, 1, 0, 1]);
-        assert_eq!(delaunay(&[1.0, 2.0, 1.0, 2.0]).unwrap().items, [0, 1, 0, 1]);
-        assert_eq!(delaunay(&[0.0; 6]).unwrap().items, [0, 1, 2, 0, 1, 2, 0, 1, 2]);
+        assert!(triangulated(&[]).unwrap().is_empty());
+        assert_eq!(triangulated(&[1.0, 2.0]).unwrap().items, [0]);
+        assert_eq!(triangulated(&[1.0, 2.0, 3.0, 4.0]).unwrap().items, [0, 1, 0, 1]);
+        assert_eq!(triangulated(&[1.0, 2.0, 1.0, 2.0]).unwrap().items, [0, 1, 0, 1]);
+        assert_eq!(triangulated(&[0.0; 6]).unwrap().items, [0, 1, 2, 0, 1, 2, 0, 1, 2]);
     }
 
     #[test]
     fn any_finite_magnitude_will_do() {
         for size in [f64::MAX, 1e-300, 5e-324] {
-            let sets = delaunay(&[0.0, 0.0, size, 0.0, 0.0, -size]).unwrap();
+            let sets = triangulated(&[0.0, 0.0, size, 0.0, 0.0, -size]).unwrap();
             assert_eq!(sets.items, [0, 1, 2, 0, 1, 2, 0, 1, 2], "{size}");
         }
         // Next to the largest, subnormal coordinates are zero: their points coincide.
-        assert_eq!(delaunay(&[0.0, 0.0, 1e-310, 0.0, 1.0, 0.0]).unwrap().get(0), &[0, 1, 2]);
+        assert_eq!(triangulated(&[0.0, 0.0, 1e-310, 0.0, 1.0, 0.0]).unwrap().get(0), &[0, 1, 2]);
     }
 
     #[test]
     fn unusable_points_are_named() {
-        assert_eq!(delaunay(&[1.0; 3]), Err(Error::Length { expected: 2, given: 3 }));
-        assert_eq!(delaunay(&[1.0, f64::INFINITY]), Err(Error::NotFinite { index: 1 }));
+        assert_eq!(triangulated(&[1.0; 3]), Err(Error::Length { expected: 2, given: 3 }));
+        assert_eq!(triangulated(&[1.0, f64::INFINITY]), Err(Error::NotFinite { index: 1 }));
     }
 }

@@ -69,6 +69,8 @@ pub struct Factor {
     scales: Vec<f64>,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
+    /// The largest weighted response in size.
+    largest_response: f64,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
     pub(crate) residuals: Vec<f64>,
     /// Diagonal of the hat matrix.
@@ -99,11 +101,13 @@ impl Factor {
             tolerance: top.tolerance,
             scales: Vec::new(),
             coefficients: Vec::new(),
+            largest_response: 0.0,
             residuals: weighted_responses(problem, responses),
             // The penalty rows' leverage is dropped at the end.
             leverage: vec![0.0; total],
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         };
+        factor.largest_response = factor.residuals.iter().fold(0.0, |largest, b| f64::max(largest, b.abs()));
         let projection = factor.project(pool)?;
         factor.coefficients = top.solve(&projection, responses);
         for column in factor.coefficients.chunks_exact_mut(columns) {
@@ -152,7 +156,8 @@ impl Factor {
                 (sum + term, size + f64::abs(term))
             });
             let now = *x - fit;
-            if f64::abs(now - self.residual_row(i)[c]) > 1e-6 * (size + x.abs()) {
+            // Residuals are good to rounding of the largest response, which a row of zeros must not be blamed for.
+            if f64::abs(now - self.residual_row(i)[c]) > 1e-6 * (size + x.abs() + self.largest_response) {
                 return Err(Error::Changed { row: i });
             }
         }
@@ -416,7 +421,7 @@ impl Top {
             (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
         } else {
             let Revealed { left, triangle, inverse, values } =
-                Revealed::new(&r, size, columns, &scales, tolerance)?;
+                Revealed::new(r, size, columns, &scales, tolerance, pool)?;
             (values.len(), Some(left), triangle, values.last().copied().unwrap_or(0.0), inverse)
         };
         let mut basis = vec![0.0; height * rank];
@@ -480,8 +485,15 @@ struct Revealed {
 
 impl Revealed {
     /// Decides as `numpy.linalg.matrix_rank` does.
-    fn new(r: &[f64], size: usize, columns: usize, scales: &[f64], tolerance: f64) -> Result<Self, Error> {
-        let linalg::Svd { u: mut left, s: mut values, v } = linalg::thin_svd(r, size, columns)?;
+    fn new(
+        r: Vec<f64>,
+        size: usize,
+        columns: usize,
+        scales: &[f64],
+        tolerance: f64,
+        pool: &Pool<'_>,
+    ) -> Result<Self, Error> {
+        let linalg::Svd { u: mut left, s: mut values, v } = linalg::thin_svd(r, size, columns, pool)?;
         let rank = numerical_rank(&values, tolerance);
         left.truncate(size * rank);
         values.truncate(rank);

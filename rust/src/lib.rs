@@ -3,7 +3,8 @@
 //! # The problem
 //!
 //! Fit `A x ~ b` with m rows and p columns, hold out a set K of rows, predict some of them (T, a subset of K) from the
-//! rest, for thousands of sets. Refitting costs m p^2 a set. Nothing here refits.
+//! rest, for thousands of sets. Refitting costs m p^2 a set; here
+//! only the few sets that nearly lose rank are refitted.
 //!
 //! # The mathematics
 //!

@@ -123,8 +123,19 @@ pub struct Svd {
     pub v: Vec<f64>,
 }
 
+/// Larger decompositions take long enough to be called off.
+const LONG_SVD: usize = 200;
+
 /// The thin singular value decomposition of a `rows` x `columns` matrix.
-pub fn thin_svd(a: &[f64], rows: usize, columns: usize) -> Result<Svd, Error> {
+pub fn thin_svd(a: Vec<f64>, rows: usize, columns: usize, pool: &Pool<'_>) -> Result<Svd, Error> {
+    if rows.min(columns) < LONG_SVD {
+        decompose(&a, rows, columns)
+    } else {
+        pool.aside(move || decompose(&a, rows, columns))?
+    }
+}
+
+fn decompose(a: &[f64], rows: usize, columns: usize) -> Result<Svd, Error> {
     let size = rows.min(columns);
     let (mut u, mut s, mut v) = (Mat::zeros(rows, size), faer::Col::zeros(size), Mat::zeros(columns, size));
     let thin = svd::ComputeSvdVectors::Thin;
@@ -251,7 +262,7 @@ mod tests {
     fn singular_values_rebuild_the_matrix() {
         for (rows, columns) in [(4, 4), (7, 3), (3, 7)] {
             let a = matrix(rows, columns);
-            let Svd { u, s, v } = thin_svd(&a, rows, columns).unwrap();
+            let Svd { u, s, v } = decompose(&a, rows, columns).unwrap();
             let k = s.len();
             let mut scaled = vec![0.0; k * columns];
             for j in 0..columns {

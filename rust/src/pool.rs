@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -59,6 +61,20 @@ impl<'a> Pool<'a> {
             None => {}
         }
         self.proceed()
+    }
+
+    /// Does what cannot be interrupted on a thread of its own, which is left behind once the work is called off.
+    pub fn aside<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Error> {
+        let (send, receive) = channel();
+        std::thread::spawn(move || drop(send.send(work())));
+        loop {
+            match receive.recv_timeout(Duration::from_millis(20)) {
+                Ok(result) => return Ok(result),
+                Err(RecvTimeoutError::Timeout) => self.proceed()?,
+                // It panicked; there is no result, and there never will be.
+                Err(RecvTimeoutError::Disconnected) => return Err(Error::Interrupted),
+            }
+        }
     }
 
     /// An error once the work has been called off; long tasks ask now and then.

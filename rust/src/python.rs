@@ -157,7 +157,8 @@ impl Factor {
     ) -> PyResult<Self> {
         let held = Held::new(&design, &responses, root_weights.as_ref(), &penalty)?;
         let problem = held.problem()?;
-        let cost = 2.0 * (problem.rows * problem.columns * problem.columns) as f64;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
         let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
         Ok(Self {
             fit,
@@ -202,7 +203,7 @@ impl Factor {
         let (held, validated, rows) =
             (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
         // At worst every pair is refitted.
-        let cost = 2.0 * held.len() as f64 * (self.fit.rows * self.fit.rank * self.fit.rank) as f64;
+        let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
         let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
         let weights = self.root_weights.as_ref().map(|w| w.bind(py));
         let arrays =
@@ -284,7 +285,7 @@ fn neighbours_nearest<'py>(
 #[pyfunction]
 fn neighbours_delaunay<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Arrays<'py>> {
     let points = matrix(&points)?;
-    let found = interruptible(py, f64::INFINITY, 1, |_| delaunay::delaunay(points))?;
+    let found = interruptible(py, f64::INFINITY, 1, |pool| delaunay::delaunay(points, pool))?;
     Ok(arrays(py, &found))
 }
 

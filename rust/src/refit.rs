@@ -133,7 +133,7 @@ impl Refit {
         let width = rank + responses;
         let height = (self.held.len() - held).clamp(width, width + ROWS);
         self.triangle(factor, problem, pool, height, width)?;
-        if self.rank(factor, height) < rank {
+        if self.rank(factor, height, pool)? < rank {
             return Ok(false);
         }
         for (c, change) in self.change.chunks_exact_mut(rank).enumerate() {
@@ -178,7 +178,7 @@ impl Refit {
     }
 
     /// Rank of the training rows, the design's columns at unit length.
-    fn rank(&self, factor: &Factor, height: usize) -> usize {
+    fn rank(&self, factor: &Factor, height: usize, pool: &Pool<'_>) -> Result<usize, Error> {
         let rank = factor.rank;
         let mut r = vec![0.0; rank * rank];
         for (j, column) in r.chunks_exact_mut(rank).enumerate() {
@@ -187,10 +187,10 @@ impl Refit {
         let full = rank == factor.columns;
         let bound = if full { 1.0 } else { factor.least } / linalg::inverse_norm(&r, rank);
         if bound > 2.0 * factor.tolerance * (factor.columns as f64).sqrt() {
-            return rank;
+            return Ok(rank);
         }
         let design = if full { r } else { linalg::product(&r, &factor.triangle, rank, rank, factor.columns) };
-        linalg::thin_svd(&design, rank, factor.columns)
-            .map_or(0, |svd| numerical_rank(&svd.s, factor.tolerance))
+        let values = linalg::thin_svd(design, rank, factor.columns, pool)?.s;
+        Ok(numerical_rank(&values, factor.tolerance))
     }
 }
