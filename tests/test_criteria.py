@@ -140,6 +140,25 @@ def test_numbers_that_do_not_suit_the_data(name, digits):
         Judge.of([name], points)
 
 
+def test_unsuited_numbers_are_refused_in_one_sentence():
+    points = np.random.default_rng(0).uniform(size=(120, 2))
+    for name, said in {
+        "KF500": "In KF500, k must be a whole number from 2 to 120. Given 500.",
+        "RS110PCT": "In RS110PCT, size must be a whole number from 1 to 120. Given 132.",
+        "NN130PTS": "In NN130PTS, k must be a whole number from 1 to 120. Given 130.",
+    }.items():
+        with pytest.raises(ValueError, match=r"^Invalid criteria") as caught:
+            Judge.of([name], points)
+        assert str(caught.value) == f"Invalid criteria. {said}"
+
+
+@pytest.mark.parametrize("name", ["FIT", "cmpress", " er10 ", "KF05PRESS", "gcv"])
+def test_schemes_of_ones_own_have_names_of_their_own(name):
+    own = {"mine": mx.schemes.leave_one_out(5), name: mx.schemes.leave_one_out(5)}
+    with pytest.raises(ValueError, match=r"^Invalid criteria\. .* the name of a criterion\. Given .*\.$"):
+        Judge.of(own, np.eye(5, 2))
+
+
 def problem(coupling, penalty=None, responses=None):
     rng = np.random.default_rng(0)
     shape = (40,) if responses is None else (40, responses)

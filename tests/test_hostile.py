@@ -607,18 +607,18 @@ def made_by_hand():
     """Schemes that no builder makes, and what they would have to mean."""
     sets = s.IndexSets
     array = lambda *x: np.array(x, dtype=np.int64)  # noqa: E731
-    own = sets.of([array(1, 2, 3)])
-    yield "validated without being held out", own, sets.of([array(7)])
+    own = s.compress([array(1, 2, 3)])
+    yield "validated without being held out", own, s.compress([array(7)])
     yield "not sorted", sets(array(0, 3), array(3, 1, 2)), sets(array(0, 2), array(2, 3))
     yield "twice the same", sets(array(0, 2), array(1, 1)), sets(array(0, 1), array(1))
     yield "validated twice", own, sets(array(0, 2), array(1, 1))
-    yield "offsets past the end", sets(array(0, 5), array(1, 2)), sets.of([array(1)])
-    yield "offsets that decrease", sets(array(0, 2, 1, 2), array(1, 2)), sets.of([array(1)] * 3)
-    yield "offsets that begin late", sets(array(1, 2), array(1, 2)), sets.of([array(2)])
+    yield "offsets past the end", sets(array(0, 5), array(1, 2)), s.compress([array(1)])
+    yield "offsets that decrease", sets(array(0, 2, 1, 2), array(1, 2)), s.compress([array(1)] * 3)
+    yield "offsets that begin late", sets(array(1, 2), array(1, 2)), s.compress([array(2)])
     yield "no offsets", sets(array(), array(1, 2)), sets(array(), array(1))
-    yield "an index too large", sets.of([array(N)]), sets.of([array(N)])
-    yield "a negative index", sets.of([array(-1)]), sets.of([array(-1)])
-    yield "different lengths", sets.of([array(1), array(2)]), sets.of([array(1)])
+    yield "an index too large", s.compress([array(N)]), s.compress([array(N)])
+    yield "a negative index", s.compress([array(-1)]), s.compress([array(-1)])
+    yield "different lengths", s.compress([array(1), array(2)]), s.compress([array(1)])
     yield "lists", [[1, 2]], [[1]]
     yield "lists inside", sets([0, 1], [1]), sets([0, 1], [1])
     yield (
@@ -649,7 +649,7 @@ def test_schemes_made_by_hand_are_right_or_refused(held, validated):
 
 def test_sets_of_rows_made_by_hand():
     for rows in ([N], [-1]):
-        refused(lambda rows=rows: MODEL.hat_blocks(s.IndexSets.of([np.array(rows)])), "sets", ValueError)
+        refused(lambda rows=rows: MODEL.hat_blocks(s.compress([np.array(rows)])), "sets", ValueError)
 
 
 # -------------------------------------------------------------------------------------------------- selection
@@ -673,6 +673,8 @@ def test_sets_of_rows_made_by_hand():
         ),
         *(("seed", x) for x in (-1, 1.5, "a")),
         *(("threads", x) for x in (0, -1, 1.5, "2", True)),
+        *((name, x) for name in ("fractional", "progress") for x in (0, 1.0, "no", None, [True])),
+        *(("smoothing", x) for x in (-1, np.nan, np.inf, "auto", None, True, [1.0, 2.0])),
     ],
     ids=lambda x: repr(x)[:30],
 )

@@ -213,6 +213,19 @@ LONG = {
         A, b = rng.normal(size=(6_000, 2_000)), rng.normal(size=6_000)
         call = lambda: mx.LeastSquares(A, b, threads=2)
     """,
+    "a design that lacks rank": """
+        A, b = rng.normal(size=(3_000, 1_500)), rng.normal(size=3_000)
+        A[:, 7] = A[:, 8]
+        call = lambda: mx.LeastSquares(A, b, threads=2)
+    """,
+    "many penalty rows": """
+        A, b, Z = rng.normal(size=(200, 150)), rng.normal(size=200), rng.normal(size=(300_000, 150))
+        call = lambda: mx.LeastSquares(A, b, penalty=Z, threads=2)
+    """,
+    "a triangulation": """
+        points = rng.uniform(size=(500_000, 2))
+        call = lambda: mx.schemes.delaunay(points)
+    """,
     "many neighbours": """
         points = rng.uniform(size=(60_000, 2))
         call = lambda: mx.schemes.exclusion_radius(points, 0.05, threads=2)

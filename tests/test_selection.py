@@ -208,3 +208,26 @@ def test_a_similarity_of_the_target_scales_the_scores(angle):
     for name, curve in one.curves.items():
         if name != "PRESS":  # row by row, hence with the axes
             np.testing.assert_allclose(two.curves[name], 3 * curve, rtol=1e-8)
+
+
+def test_smoothing_is_a_penalty_on_bending():
+    rng = np.random.default_rng(5)
+    source = rng.uniform(0, 500, (40, 2))
+    target = source + 20 * np.sin(source / 80) + rng.normal(size=source.shape)
+    for fractional in (True, False):
+        selection = mx.select_warp(source, target, counts=[3, 12], fractional=fractional, smoothing=7.0)
+        warp = selection.warps[12]
+        design = warp_design(warp.lifting, source, target, fractional)
+        Z = np.sqrt(7.0) * design.bending()
+        model = mx.LeastSquares(design.A, design.b, design.coupling, penalty=Z)
+        assert selection.curves["FIT"][1] == model.fit_rms
+        np.testing.assert_allclose(warp(source), design.warp(model.coefficients)(source))
+        bending = [np.linalg.norm(design.bending() @ x) for x in (model.coefficients, _free(design))]
+        assert bending[0] < bending[1]
+        stiff = mx.select_warp(source, target, counts=[12], fractional=fractional, smoothing=1e15)
+        straight = mx.select_warp(source, target, counts=[3], fractional=fractional)
+        np.testing.assert_allclose(stiff.curves["FIT"], straight.curves["FIT"], rtol=0.02)
+
+
+def _free(design):
+    return mx.LeastSquares(design.A, design.b, design.coupling).coefficients

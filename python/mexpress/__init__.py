@@ -1,4 +1,12 @@
-"""How complex should this model be? Closed-form cross-validation of linear least squares, warps and surfaces."""
+"""How complex should this model be? Closed-form cross-validation of linear least squares and image warps.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
+>>> model.cross_validate(mx.schemes.leave_one_out(3))
+CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
+"""
 
 from importlib.metadata import version
 

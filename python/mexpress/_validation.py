@@ -192,6 +192,13 @@ def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False
     return result
 
 
+def flag(value: Any, name: str) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        refuse(name, "It must be True or False.", describe(value), TypeError)
+    return bool(value)
+
+
 def positive(value: Any, name: str) -> float:
     """Finite number above zero."""
     return number(value, name, "It must be a positive number.", 0.0, strict=True)

@@ -274,6 +274,8 @@ def _print_warp(selection: WarpSelection, health: dict[str, Any]) -> None:
         f"{len(selection.source)} matches, {form}{health['lifting']} warps with {tried}; pixels; * smallest\n"
     )
     print(reports.table(selection))
+    if "PRESS" in selection.curves:
+        print("(PRESS averages over the rows of the design, the others over the matches.)")
     best = selection.curves[selection.criterion][counts == selection.count][0]
     print(
         f"\n{selection.criterion} selects {selection.count} control points: {selection.criterion} {best:.4g}."

@@ -14,6 +14,12 @@ AIC, BIC, GCV           information criteria and generalised cross-validation, w
 ======================  ==================================================================================
 
 Case does not matter, and ``PRESS`` may follow, as in the paper: ``er10`` and ``ER10PRESS`` are ER10.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> mx.criteria.parse("ER10PRESS").name
+'ER10'
 """
 
 from __future__ import annotations
@@ -151,6 +157,11 @@ def parse(name: str) -> Criterion:
     rule = f"It must be one of {families}."
     if not isinstance(name, str):
         check.refuse("criterion", rule, check.describe(name), TypeError)
+    return _find(name) or check.refuse("criterion", rule, repr(name))
+
+
+def _find(name: str) -> Criterion | None:
+    """The criterion of a name, if there is one."""
     plain = name.strip().upper()
     if plain not in _PATTERNS:
         plain = plain.removesuffix("PRESS")
@@ -159,7 +170,7 @@ def parse(name: str) -> Criterion:
         if match:
             amount = float(match.group(1)) if match.groups() else 0.0
             return Criterion(plain, family, amount)
-    check.refuse("criterion", rule, repr(name))
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +183,14 @@ class Score:
         In the responses' unit (AIC and BIC have none).
     undefined : int64 array
         The data whose prediction lacks the rank.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
+    >>> mx.criteria.Judge.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].undefined
+    array([], dtype=int64)
     """
 
     value: float
@@ -214,7 +233,7 @@ class Judge:
         Parameters
         ----------
         criteria : sequence of str, or mapping of str to Scheme
-            Names, or schemes of one's own.
+            Names, or schemes of one's own under names that are no criterion's.
         points : (n, 2) array
             Where the data are.
         diagonal : float, optional
@@ -223,12 +242,27 @@ class Judge:
             Of the random schemes.
         threads : int, optional
             At most so many threads.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a name is no criterion's or does not suit the data, or a scheme has the name of a criterion.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.criteria.Judge.of({"pairs": mx.schemes.from_sets([[0, 1], [2, 3]])}, np.eye(4, 2))
+        Judge(pairs)
         """
         rule = "It must be a list of names, or schemes by name."
         if isinstance(criteria, Mapping):
             for name, scheme in criteria.items():
                 if not (isinstance(name, str) and isinstance(scheme, Scheme)):
                     check.refuse("criteria", rule, check.describe({name: scheme}), TypeError)
+                if _find(name) is not None:
+                    own = "A scheme of one's own must not have the name of a criterion."
+                    check.refuse("criteria", own, check.describe(name))
             return cls(dict.fromkeys(criteria), dict(criteria))
         whole = float(np.hypot(*np.ptp(points, axis=0))) if diagonal is None else diagonal
         check.generator(seed)
@@ -241,7 +275,29 @@ class Judge:
         return f"Judge({', '.join(self.criteria)})"
 
     def scores(self, model: LeastSquares, threads: int | None = None) -> dict[str, Score]:
-        """Every criterion's score of a model; all undefined if the data do not determine the model."""
+        """Every criterion's score of a model; all undefined if the data do not determine the model.
+
+        Parameters
+        ----------
+        model : LeastSquares
+            Over as many data as there are points.
+        threads : int, optional
+            At most so many threads.
+
+        Returns
+        -------
+        dict of str to Score
+            By the criteria's names.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
+        >>> scores = mx.criteria.Judge.of(["FIT", "CMPRESS"], np.eye(3, 2)).scores(model)
+        >>> {name: round(score.value, 3) for name, score in scores.items()}
+        {'FIT': 1.633, 'CMPRESS': 2.449}
+        """
         if model.rank < len(model.coefficients):
             lost = Score(math.nan, np.arange(model.n_data))
             return dict.fromkeys(self.criteria, lost)
@@ -269,5 +325,8 @@ def _scheme(criterion: Criterion, data: Data) -> Scheme:
     try:
         return SCHEMES[criterion.family](criterion.amount, data)
     except (ValueError, OverflowError) as error:  # the number in a name may have any number of digits
-        n = len(data.points)
-        check.refuse("criteria", f"{criterion.name} must suit the data: {error}", f"{n} data")
+        said = re.fullmatch(r"Invalid (\w+)\. (.*) Given (.*)\.", str(error))
+        unsaid = "the number", "It must suit the data.", f"{len(data.points)} data"
+        argument, rule, given = said.groups() if said else unsaid
+        rule = rule.replace("It must", f"{argument} must", 1)
+        check.refuse("criteria", f"In {criterion.name}, {rule[0].lower()}{rule[1:]}", given)

@@ -1,4 +1,11 @@
-"""Models in files: one .npz archive of plain arrays, safe to read from strangers."""
+"""Models in files: one .npz archive of plain arrays, safe to read from strangers.
+
+Examples
+--------
+>>> import mexpress.warps
+>>> list(mexpress.files.KINDS)
+['warp']
+"""
 
 import os
 import uuid
@@ -18,7 +25,16 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class Storable(Protocol):
-    """A model that arrays describe wholly."""
+    """A model that arrays describe wholly.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp = mx.fit_warp(square, square, square[:3])
+    >>> warp.kind, mx.Warp.from_arrays(warp.to_arrays())
+    ('warp', Warp(fractional tps, 3 control points))
+    """
 
     kind: ClassVar[str]
 
@@ -37,7 +53,14 @@ Model = TypeVar("Model", bound=Storable)
 
 
 def storable(model_class: type[Model]) -> type[Model]:
-    """Enter a class of models in `KINDS`; used as its decorator."""
+    """Enter a class of models in `KINDS`; used as its decorator.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> storable(mx.Warp) is mx.Warp is KINDS["warp"]
+    True
+    """
     KINDS[model_class.kind] = model_class
     return model_class
 
@@ -61,7 +84,14 @@ def save(model: Storable, path: str | os.PathLike[str]) -> None:
 
     Examples
     --------
-    See `load`.
+    >>> import tempfile
+    >>> import mexpress as mx
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> warp = mx.fit_warp(square, [[5, 5], [90, 0], [0, 110], [95, 99]], square[:3])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save(warp, f"{folder}/warp.npz")
+    ...     bool((mx.load(f"{folder}/warp.npz").parameters == warp.parameters).all())
+    True
     """
     if KINDS.get(getattr(model, "kind", "")) is not type(model):
         raise TypeError(f"Invalid model. It must be one of {_class_names()}. Given {type(model).__name__}.")

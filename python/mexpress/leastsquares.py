@@ -1,11 +1,18 @@
-"""Linear least squares, factorised once and cross-validated in closed form."""
+"""Linear least squares, factorised once and cross-validated in closed form.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
+LeastSquares(3 data, 3 rows, 1 columns, rank 1, fit_rms=2.160247)
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +20,7 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.schemes import IndexSets, Scheme, checked
+from mexpress.schemes import IndexSets, Scheme, checked, compress, concatenate, each_alone
 
 __all__ = ["CrossValidation", "LeastSquares", "RankLossWarning"]
 
@@ -23,7 +30,24 @@ WEIGHT_RATIO = 1e12
 
 
 class RankLossWarning(UserWarning):
-    """Some held-out sets leave training rows that no longer determine the model."""
+    """Some held-out sets leave training rows that no longer determine the model.
+
+    What they would predict is NaN, and so is the score.
+
+    Examples
+    --------
+    The third row alone sees the second column:
+
+    >>> import warnings
+    >>> import mexpress as mx
+    >>> model = mx.LeastSquares([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [1.0, 2.0, 6.0])
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     model.held_out_residuals([2])
+    array([nan])
+    >>> caught[0].message
+    RankLossWarning('The other rows no longer determine the model.')
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +96,8 @@ class LeastSquares:
     Parameters
     ----------
     A : (m, p) array
-        Design matrix.
+        Design matrix. The model keeps it, not a copy, if it is a float64 array in C order, and `b` likewise: do
+        not change them while the model is in use.
     b : (m,) or (m, r) array
         Responses; r of them share the design (equation 4).
     coupling : int or (m,) int array, default 1
@@ -169,16 +194,34 @@ class LeastSquares:
         size = f"{self.n_data} data, {m} rows, {p} columns, rank {self.rank}"
         return f"LeastSquares({size}, fit_rms={self.fit_rms:.7g})"
 
+    def __reduce__(self) -> NoReturn:
+        rule = "It cannot be pickled or copied: build it again from A and b."
+        check.refuse("model", rule, repr(self), TypeError)
+
     @property
     def fit_rms(self) -> float:
-        """E, the root mean square residual over the data: ``E^2 = sum w ||e||^2 / sum w``, equation (11)."""
+        """E, the root mean square residual over the data: ``E^2 = sum w ||e||^2 / sum w``, equation (11).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> round(mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0]).fit_rms, 6)
+        2.160247
+        """
         return _root_mean(self.residuals, self._row_weights, float(self._share_of_row(slice(None)).sum()))
 
     @property
     def press(self) -> float:
-        """P, every row held out on its own: ``P^2 = (1/m) sum_j (e_j / (1 - h_jj))^2``, equation (3).
+        """P, every row held out on its own: ``P^2 = sum_j w_j (e_j / (1 - h_jj))^2 / sum_j w_j``, equation (3).
 
-        NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
+        The sums are over rows, and w_j is the weight of the row's datum; without weights this is the mean over
+        rows. NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> round(mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0]).press, 6)
+        3.24037
         """
         value, lost = leave_row_out(self, None)
         _warn(lost, len(self.leverage), "rows", "the first is row")
@@ -205,8 +248,8 @@ class LeastSquares:
         """
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
-        sets = IndexSets.of([order])
-        found = self._predict(sets, sets, IndexSets.single(m), None)
+        sets = compress([order])
+        found = self._predict(sets, sets, each_alone(m), None)
         if len(found.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return found.residuals[np.argsort(np.argsort(order))]
@@ -285,12 +328,18 @@ class LeastSquares:
         self, held: IndexSets, validated: IndexSets, coupling: IndexSets, threads: int | None
     ) -> CrossValidation:
         """Residuals of all pairs, not yet scored."""
-        residuals, rows, offsets, lost = self._factor.predict(
-            (held.offsets, held.indices),
-            (validated.offsets, validated.indices),
-            (coupling.offsets, coupling.indices),
-            check.threads(threads),
-        )
+        workers = check.threads(threads)
+        try:
+            residuals, rows, offsets, lost = self._factor.predict(
+                (held.offsets, held.indices),
+                (validated.offsets, validated.indices),
+                (coupling.offsets, coupling.indices),
+                workers,
+            )
+        except ValueError as error:
+            if "has changed" not in str(error):
+                raise
+            check.refuse("A", "It must not change while the model is in use.", str(error))
         pairs = np.repeat(np.arange(len(held)), np.diff(offsets))
         flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
         return CrossValidation(np.nan, flat, rows, pairs, lost)
@@ -311,7 +360,7 @@ def datum_of_row(model: LeastSquares) -> Integers:
 def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Integers]:
     """PRESS, and the rows that alone determine some part of the model."""
     m, weights = len(model.leverage), model._row_weights
-    alone = IndexSets.single(m)
+    alone = each_alone(m)
     found = model._predict(alone, alone, alone, threads)
     total = float(m) if weights is None else float(weights.sum())
     return _root_mean(found.residuals, weights, total), found.undefined
@@ -327,8 +376,8 @@ def cross_validate_all(
         if scheme.n_data != model.n_data:
             rule = f"It must be over the model's {model.n_data} data."
             check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
-    held = IndexSets.chain(scheme.held_out for scheme in schemes.values())
-    validated = IndexSets.chain(scheme.validated for scheme in schemes.values())
+    held = concatenate(scheme.held_out for scheme in schemes.values())
+    validated = concatenate(scheme.validated for scheme in schemes.values())
     together = model._predict(held, validated, model._coupling, threads)
     ends = np.cumsum([len(scheme) for scheme in schemes.values()])
     starts = ends - [len(scheme) for scheme in schemes.values()]

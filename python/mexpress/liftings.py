@@ -2,6 +2,11 @@
 
 A lifting nu maps a point q to l numbers; a scalar function is f(q) = nu(q) . x. Another lifting is one more
 class with the members of `Lifting`, entered in `LIFTINGS`.
+
+Examples
+--------
+>>> make_lifting("tps", [[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
+array([[0. , 0.5, 0.5]])
 """
 
 from collections.abc import Callable, Iterator
@@ -26,7 +31,14 @@ _CHUNK = 1 << 14
 
 
 class Lifting(Protocol):
-    """What a warp or a surface asks of a lifting with l control points."""
+    """What a warp asks of a lifting with l control points.
+
+    Examples
+    --------
+    >>> lifting: Lifting = ThinPlateSpline([[0, 0], [1, 0], [0, 1], [1, 1]])
+    >>> lifting.name, lifting.basis([[0, 0]]).shape, lifting.bending().shape
+    ('tps', (1, 4), (1, 4))
+    """
 
     name: ClassVar[str]
 

@@ -1,4 +1,12 @@
-"""Files of matches and of points: text with numbers in columns, and numpy's archives."""
+"""Files of matches and of points: text with numbers in columns, and numpy's archives.
+
+Examples
+--------
+>>> import sys
+>>> write_points_csv(sys.stdout, np.array([[320.0, 240.5]]))
+x,y
+320.0,240.5
+"""
 
 import os
 import re
@@ -124,7 +132,11 @@ def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
 
     Examples
     --------
-    See `read_matches`.
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matches(f"{folder}/matches.csv", [[0, 1]], [[10, 13.5]])
+    ...     read_matches(f"{folder}/matches.csv")
+    (array([[0., 1.]]), array([[10. , 13.5]]))
     """
     rows = np.column_stack([check.points(source, "source"), check.points(target, "target")])
     with Path(path).open("w", encoding="utf-8", newline="\n") as file:

@@ -97,6 +97,7 @@ def plot_selection(selection: Selection, path: PathLike | None = None) -> Figure
 def _label(selection: Selection, name: str, anchor: str) -> str:
     best = selection.selected[name]
     note = f" (scaled onto {anchor})" if name in UNITLESS and anchor != name else ""
+    note = " (per row)" if name == "PRESS" else note
     return f"{name}: {'none' if best is None else best}{note}"
 
 

@@ -2,6 +2,13 @@
 
 A datum is one physical item (a match, a point, a pixel), whatever number of rows of the design it has. Every
 builder returns a `Scheme`; `LeastSquares.cross_validate` scores it.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> scheme = mx.schemes.from_sets([[0, 1, 2], [3, 4]], validated=[[1], [3, 4]])
+>>> mx.LeastSquares([[1.0]] * 5, [1.0, 2.0, 3.0, 4.0, 5.0]).cross_validate(scheme).residuals
+array([-2.5,  2. ,  3. ])
 """
 
 from __future__ import annotations
@@ -61,44 +68,17 @@ class IndexSets(Sequence[Integers]):
     offsets: Integers
     indices: Integers
 
-    @classmethod
-    def of(cls, sets: Iterable[Integers]) -> IndexSets:
-        """Compress a list of index arrays, sorting each."""
-        arrays = [np.sort(s) for s in sets]
-        offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
-        return cls(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
-
-    @classmethod
-    def chain(cls, parts: Iterable[IndexSets]) -> IndexSets:
-        """All sets of several, one after another."""
-        whole = list(parts)
-        if len(whole) == 1:
-            return whole[0]
-        sizes = np.concatenate([[0], *(part.sizes for part in whole)])
-        return cls(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
-
-    @classmethod
-    def single(cls, n: int) -> IndexSets:
-        """Each of n indices alone."""
-        return cls(np.arange(n + 1), np.arange(n))
-
     @property
     def sizes(self) -> Integers:
-        """Number of members of each set, (k,)."""
-        return np.diff(self.offsets)
+        """Number of members of each set, (k,).
 
-    def hold(self, others: IndexSets) -> NDArray[np.bool_]:
-        """Whether each of the others' indices, in order, is in the set of the same number."""
-        last = max(len(self.indices) - 1, 0)
-        first, count = (np.repeat(each, others.sizes) for each in (self.offsets[:-1], self.sizes))
-        end = first + count
-        while count.any():  # bisection of all sets at once
-            half = count // 2
-            below = (count > 0) & (self.indices[np.minimum(first + half, last)] < others.indices)
-            first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)
-        found = first < end
-        found[found] = self.indices[first[found]] == others.indices[found]
-        return found
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> mx.schemes.from_sets([[0, 1], [2]]).held_out.sizes
+        array([2, 1])
+        """
+        return np.diff(self.offsets)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -169,6 +149,27 @@ class Scheme:
         return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
 
 
+def compress(sets: Iterable[Integers]) -> IndexSets:
+    """Index sets of a list of index arrays, each sorted."""
+    arrays = [np.sort(s) for s in sets]
+    offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
+    return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
+
+
+def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
+    """All sets of several, one after another."""
+    whole = list(parts)
+    if len(whole) == 1:
+        return whole[0]
+    sizes = np.concatenate([[0], *(part.sizes for part in whole)])
+    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
+
+
+def each_alone(n: int) -> IndexSets:
+    """Each of n indices alone."""
+    return IndexSets(np.arange(n + 1), np.arange(n))
+
+
 def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
     """Index sets that users made, with indices from 0 to bound - 1."""
     if not isinstance(sets, IndexSets):
@@ -178,11 +179,25 @@ def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
 
 def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
     """Every validated datum is held out."""
-    inside = held.hold(validated)
+    inside = _inside(held, validated)
     if not inside.all():
         i = int(inside.argmin())
         number = np.searchsorted(validated.offsets, i, side="right") - 1
         check.refuse(name, rule, f"datum {validated.indices[i]} in {pair} {number}")
+
+
+def _inside(sets: IndexSets, others: IndexSets) -> NDArray[np.bool_]:
+    """Whether each of the others' indices, in order, is in the set of the same number."""
+    last = max(len(sets.indices) - 1, 0)
+    first, count = (np.repeat(each, others.sizes) for each in (sets.offsets[:-1], sets.sizes))
+    end = first + count
+    while count.any():  # bisection of all sets at once
+        half = count // 2
+        below = (count > 0) & (sets.indices[np.minimum(first + half, last)] < others.indices)
+        first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)
+    found = first < end
+    found[found] = sets.indices[first[found]] == others.indices[found]
+    return found
 
 
 def leave_one_out(n: int) -> Scheme:
@@ -199,7 +214,7 @@ def leave_one_out(n: int) -> Scheme:
     >>> mx.schemes.leave_one_out(3)
     Scheme(3 pairs over 3 data, 1 held out)
     """
-    sets = IndexSets.single(check.count(n, "n", 1))
+    sets = each_alone(check.count(n, "n", 1))
     return Scheme(len(sets), sets, sets)
 
 
@@ -223,7 +238,7 @@ def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
     """
     n = check.count(n, "n", 2)
     k = check.count(k, "k", 2, n)
-    sets = IndexSets.of(np.array_split(check.generator(seed).permutation(n), k))
+    sets = compress(np.array_split(check.generator(seed).permutation(n), k))
     return Scheme(n, sets, sets)
 
 
@@ -304,7 +319,7 @@ def _around(points: Floats, search: Callable[[], tuple[Integers, Integers]]) -> 
         neighbourhoods = IndexSets(*search())
     except ValueError as error:
         check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
-    return Scheme(n, neighbourhoods, IndexSets.single(n))
+    return Scheme(n, neighbourhoods, each_alone(n))
 
 
 def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -> Scheme:
@@ -378,7 +393,7 @@ def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme
     size = check.count(size, "size", 1, n)
     repeats = check.count(repeats, "repeats", 1)
     rng = check.generator(seed)
-    sets = IndexSets.of(rng.choice(n, size, replace=False) for _ in range(repeats))
+    sets = compress(rng.choice(n, size, replace=False) for _ in range(repeats))
     return Scheme(n, sets, sets)
 
 
@@ -417,7 +432,7 @@ def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> IndexSet
     """Sets that users list, their indices in any order."""
     rule = "It must be a list of distinct indices."
     items = enumerate(check.items(sets, name, "It must be a list of index arrays."))
-    return checked(IndexSets.of(check.integers(s, f"{name}[{i}]", rule) for i, s in items), name, bound)
+    return checked(compress(check.integers(s, f"{name}[{i}]", rule) for i, s in items), name, bound)
 
 
 def _number(*sets: IndexSets) -> int:
@@ -458,7 +473,7 @@ def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = N
     if left > MOST_INDICES:
         rule = f"The data that are not trained on must fit in {MOST_INDICES} indices."
         check.refuse("splits", rule, f"{left}, in {len(pairs)} splits of {total} data")
-    held = IndexSets.of(_complement(train, total) for train in trains)
+    held = compress(_complement(train, total) for train in trains)
     _expect_held(held, tests, "splits", "Test data must not be trained on.", "split")
     return Scheme(total, held, tests)
 

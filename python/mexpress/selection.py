@@ -44,12 +44,29 @@ class Selection:
         Every criterion's score, in the responses' unit (AIC and BIC have none); NaN where undefined.
     undefined : dict of str to dict of int to int64 array
         By criterion and count, the data whose prediction lacks the rank; counts without any are left out.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> curves = {"FIT": np.array([3.0, 2.0, 1.0]), "ER10": np.array([4.0, 3.5, np.nan])}
+    >>> selection = mx.Selection("ER10", np.array([3, 4, 5]), curves, {"ER10": {5: np.array([17])}})
+    >>> selection
+    Selection(ER10 chooses 4 of 3 to 5 control points, ER10=3.5)
+    >>> selection.selected
+    {'FIT': 5, 'ER10': 4}
     """
 
     criterion: str
     counts: Integers
     curves: dict[str, Floats]
     undefined: dict[str, dict[int, Integers]]
+
+    def __repr__(self) -> str:
+        score = self.curves[self.criterion][self.counts == self.count][0]
+        tried = f"{self.counts[0]} to {self.counts[-1]} control points"
+        chosen = f"{self.criterion} chooses {self.count} of {tried}, {self.criterion}={score:.4g}"
+        return f"{type(self).__name__}({chosen})"
 
     @property
     def selected(self) -> dict[str, int | None]:
@@ -64,7 +81,9 @@ class Selection:
         """The selected number of control points."""
         chosen = self.selected[self.criterion]
         if chosen is None:
-            rule = "The criterion must have a score at one count at least; fewer data held out may help."
+            rule = (
+                "It must have a score at one count at least; more data, or fewer of them held out, may help."
+            )
             check.refuse(
                 "criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on"
             )
@@ -83,6 +102,16 @@ class WarpSelection(Selection):
         The matches, in pixels.
     image_size : tuple of float, optional
         (width, height) of the source image in pixels.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
+    >>> selection = mx.select_warp(source, 2 * source + 1, counts=[3, 4, 5])
+    >>> selection.warp is selection.warps[selection.count]
+    True
+    >>> figure = selection.plot()  # of matplotlib
     """
 
     warps: dict[int, Warp]
@@ -107,13 +136,6 @@ class WarpSelection(Selection):
 
         return plot_selection(self, path)
 
-    def __repr__(self) -> str:
-        score = self.curves[self.criterion][self.counts == self.count][0]
-        tried = f"{self.counts[0]} to {self.counts[-1]} control points"
-        return (
-            f"WarpSelection({self.criterion} chooses {self.count} of {tried}, {self.criterion}={score:.4g})"
-        )
-
 
 def largest_count(n: int) -> int:
     """The largest number of control points that the paper tries for n data: half of them, at most 100.
@@ -136,6 +158,7 @@ def select_warp(
     fractional: bool = True,
     counts: ArrayLike | None = None,
     placement: str = "lloyd",
+    smoothing: float = 0.0,
     image_size: tuple[float, float] | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -151,7 +174,8 @@ def select_warp(
         Which criterion selects, see `mexpress.criteria`. ER10 predicts every match with all matches within 10 % of the
         diagonal held out, as the paper advises; no radius is right for every use, so look at several.
     criteria : sequence of str, or mapping of str to Scheme, optional
-        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own.
+        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own: if
+        the criterion is one of them they stand alone, else beside the three.
     lifting : str, default "tps"
         The functions that bend the plane.
     fractional : bool, default True
@@ -160,6 +184,9 @@ def select_warp(
         Numbers of control points to try; 3 to half the number of matches, at most 100, if not given.
     placement : {"lloyd"}
         How control points are spread over the region that the source points cover.
+    smoothing : float, default 0
+        Weight of the warp's bending energy beside the sum of squared residuals: larger is stiffer, down to an
+        affine map or a homography.
     image_size : (width, height), optional
         Of the source image in pixels; ERxx is a percentage of its diagonal. The source points' bounding box if
         not given.
@@ -201,6 +228,9 @@ def select_warp(
     size = check.image_size(image_size)
     if not isinstance(placement, str) or placement != "lloyd":
         check.refuse("placement", 'It must be "lloyd".', check.describe(placement))
+    for name, flag in (("fractional", fractional), ("progress", progress)):
+        check.flag(flag, name)
+    weight = check.number(smoothing, "smoothing", "It must be a number of at least 0.", 0.0)
     diagonal = None if size is None else math.hypot(*size)
     name, judge = _judge(criterion, criteria, source, diagonal, seed, threads)
     scores: dict[int, dict[str, Score]] = {}
@@ -209,7 +239,8 @@ def select_warp(
         for count in tried:
             control_points = lloyd(source, count, seed, threads)
             design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
-            model = LeastSquares(design.A, design.b, coupling=design.coupling, threads=threads)
+            rows = math.sqrt(weight) * design.bending() if weight else None
+            model = LeastSquares(design.A, design.b, design.coupling, penalty=rows, threads=threads)
             scores[count] = judge.scores(model, threads)
             if model.rank == len(model.coefficients):
                 warps[count] = design.warp(model.coefficients)
@@ -223,9 +254,14 @@ def _counts(counts: ArrayLike | None, n: int) -> list[int]:
     """Numbers of control points to try, increasing."""
     if counts is None:
         if n < 4:
-            check.refuse("source", "There must be four matches at least to choose between models.", f"{n}")
+            check.refuse("source", "There must be four matches at least.", f"{n}")
         return list(range(3, max(largest_count(n), 3) + 1))
-    tried = check.indices(list(counts) if isinstance(counts, range) else counts, "counts")
+    listed = list(counts) if isinstance(counts, range) else counts
+    if isinstance(listed, int | float | np.number):
+        check.refuse(
+            "counts", "It must be a list of numbers of control points.", check.describe(counts), TypeError
+        )
+    tried = check.indices(listed, "counts")
     if tried.size == 0 or tried.min() < 3 or tried.max() > n:
         rule = f"They must be one or more, from 3 to the number of matches, {n}."
         check.refuse("counts", rule, check.describe(counts))

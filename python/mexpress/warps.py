@@ -1,4 +1,13 @@
-"""Image warps: the affine and thin-plate-spline warps and their fractional (deformable perspective) forms."""
+"""Image warps: the affine and thin-plate-spline warps and their fractional (deformable perspective) forms.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+>>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+>>> warp([[100, 100]]).round(6)
+array([[ 80., 100.]])
+"""
 
 import os
 from collections.abc import Mapping
@@ -49,8 +58,8 @@ class Warp:
 
     Notes
     -----
-    `cv2.remap(target, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
-    `skimage.transform.warp(target, warp, output_shape=(height, width))` both bring the target image into the
+    `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
+    `skimage.transform.warp(target_image, warp, output_shape=(height, width))` both bring the target image into the
     frame of the source image: they ask, for every source pixel, where to look.
 
     Examples
@@ -87,12 +96,30 @@ class Warp:
 
     @property
     def fractional(self) -> bool:
-        """Whether there is a denominator."""
+        """Whether there is a denominator.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> warp.fractional
+        True
+        """
         return bool(self.parameters.shape[1] == 3)
 
     @property
     def control_points(self) -> Floats:
-        """Control points in the source image, (l, 2)."""
+        """Control points in the source image, (l, 2).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [200, 0], [0, 100], [200, 100]], square[:3], fractional=False)
+        >>> warp.control_points
+        array([[  0.,   0.], [100.,   0.], [  0., 100.]])
+        """
         return self.lifting.control_points
 
     def __call__(self, points: ArrayLike) -> Floats:
@@ -107,6 +134,14 @@ class Warp:
         -------
         ndarray, (k, 2)
             Positions in pixels of the target image; infinite or NaN where the denominator is exactly zero.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [200, 0], [0, 100], [200, 100]], square[:3], fractional=False)
+        >>> warp([[50, 50]]).round(6)
+        array([[100.,  50.]])
         """
         return self._map(check.points(points, "points"))
 
@@ -123,11 +158,39 @@ class Warp:
         ndarray, (k, 2, 2)
             Element [i, a, b] is d target_a / d source_b at point i; infinite or NaN where the denominator is
             exactly zero.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [200, 0], [0, 100], [200, 100]], square[:3], fractional=False)
+        >>> warp.jacobian([[50, 50]]).round(6) + 0.0
+        array([[[2., 0.], [0., 1.]]])
         """
         return self._jacobian(check.points(points, "points"))
 
     def denominator(self, points: ArrayLike) -> Floats:
-        """Return the denominator nu . p_3 at points of the source image, (k,); ones if there is none."""
+        """Return the denominator nu . p_3 at points of the source image, (k,); ones if there is none.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions in pixels of the source image.
+
+        Returns
+        -------
+        ndarray, (k,)
+            Without unit: its mean over the control points is 1.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> values = warp.denominator([[0, 0], [0, 100]])
+        >>> float((values[1] / values[0]).round(6))
+        1.666667
+        """
         return self._denominator(check.points(points, "points"))
 
     def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
@@ -144,6 +207,14 @@ class Warp:
         -------
         ndarray of bool, (k,)
             True where the denominator is near zero or has not the sign that it has over the domain.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> warp.vanishes([[50, 50], [50, -300]])
+        array([False,  True])
         """
         points, tolerance = check.points(points, "points"), check.positive(tolerance, "tolerance")
         usual = np.median(self._denominator(self._samples))
@@ -162,6 +233,14 @@ class Warp:
         ndarray of bool, (k,)
             True where the Jacobian's determinant vanishes (to 1e-9 of its squared norm), is undefined, or has
             not the sign that it has over the larger part of the domain.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [0, 100], [20, 20]], square, fractional=False)
+        >>> warp.folds([[10, 10], [95, 95]])
+        array([False,  True])
         """
         orientation = self._turning(self._samples).sum()
         return np.asarray(self._turning(check.points(points, "points")) * orientation <= 0)
@@ -226,7 +305,7 @@ class Warp:
         Returns
         -------
         ndarray of float32, (2, height, width)
-            Target x, then target y: `cv2.remap(target, *warp.dense_map(width, height), cv2.INTER_LINEAR)`.
+            Target x, then target y: `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)`.
             Where the warp vanishes the values mean nothing.
 
         Examples
@@ -247,11 +326,37 @@ class Warp:
         return positions
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the warp to a file, which `mexpress.load` reads."""
+        """Write the warp to a file, which `mexpress.load` reads.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file, taken as it is.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import tempfile
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     warp.save(f"{folder}/warp.npz")
+        ...     mx.load(f"{folder}/warp.npz")
+        Warp(fractional tps, 3 control points)
+        """
         files.save(self, path)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that describe the warp, by name."""
+        """Return the arrays that describe the warp, by name.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> list(warp.to_arrays())
+        ['lifting', 'control_points', 'parameters', 'domain']
+        """
         return {
             "lifting": np.array(self.lifting.name),
             "control_points": self.control_points,
@@ -261,7 +366,21 @@ class Warp:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild a warp from the arrays of `to_arrays`."""
+        """Rebuild a warp from the arrays of `to_arrays`.
+
+        Parameters
+        ----------
+        arrays : mapping of str to ndarray
+            As `to_arrays` returns them; others are ignored.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
+        >>> mx.Warp.from_arrays(warp.to_arrays())
+        Warp(fractional tps, 3 control points)
+        """
         lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
         return cls(lifting, arrays["parameters"], arrays["domain"])
 
@@ -331,6 +450,16 @@ class WarpDesign:
         Mean of the target points, the origin of the unknowns p_1 and p_2.
     scale : float
         Root mean square distance of the target points to their mean, the unit of p_1 and p_2.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+    >>> design = warp_design(ThinPlateSpline(square[:3]), square, square)
+    >>> model = mx.LeastSquares(design.A, design.b, coupling=design.coupling)
+    >>> design.warp(model.coefficients)
+    Warp(fractional tps, 3 control points)
     """
 
     A: Floats
@@ -346,7 +475,15 @@ class WarpDesign:
 
     @property
     def fractional(self) -> bool:
-        """Whether the warp has a denominator."""
+        """Whether the warp has a denominator.
+
+        Examples
+        --------
+        >>> from mexpress.liftings import ThinPlateSpline
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp_design(ThinPlateSpline(square), square, square, fractional=False).fractional
+        False
+        """
         return self.b.ndim == 1
 
     def warp(self, coefficients: ArrayLike) -> Warp:
@@ -356,6 +493,14 @@ class WarpDesign:
         ----------
         coefficients : array_like, (3l - 1,) or (l, 2)
             Unknowns, in the order of the columns of A.
+
+        Examples
+        --------
+        >>> from mexpress.liftings import ThinPlateSpline
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> design = warp_design(ThinPlateSpline(square), square, square, fractional=False)
+        >>> design.warp(square)
+        Warp(tps, 4 control points)
         """
         x = np.asarray(coefficients, dtype=np.float64)
         if not self.fractional:
@@ -376,6 +521,13 @@ class WarpDesign:
         -------
         ndarray, (3(l - 3), 3l - 1) or (l - 3, l)
             In pixels of the target image per pixel of the source image.
+
+        Examples
+        --------
+        >>> from mexpress.liftings import ThinPlateSpline
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> warp_design(ThinPlateSpline(square), square, square).bending().shape
+        (3, 11)
         """
         one = self.lifting.bending()
         if not self.fractional:
@@ -492,6 +644,7 @@ def fit_warp(
 
 
 def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
+    """Return matched points as arrays, checked to be as many."""
     source, target = check.points(source, "source"), check.points(target, "target")
     if len(source) != len(target):
         rule = "It must have one point per source point."
