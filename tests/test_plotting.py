@@ -64,7 +64,7 @@ def test_undefined_and_infinite_values_are_left_out(selection, tmp_path):
     curves["AIC"] = np.where(selection.counts == 19, -np.inf, curves["AIC"])
     changed = dataclasses.replace(selection, curves=curves)
     figure = plotting.plot_selection(changed, tmp_path / "curves.png")
-    assert "PRESS: none" in labels(figure)
+    assert "PRESS: none (per row)" in labels(figure)
     assert is_drawn(tmp_path / "curves.png")
 
 

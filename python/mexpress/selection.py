@@ -1,4 +1,7 @@
-"""How many control points: every criterion for every number of them, and the model that one criterion chooses."""
+"""How many control points: every criterion for every number of them, and the model that one criterion chooses.
+
+See `select_warp`.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,12 @@ class Selection:
 
     @property
     def selected(self) -> dict[str, int | None]:
-        """What each criterion would choose: its smallest score's count; None if no count has a score."""
+        """What each criterion would choose: its smallest score's count; None if no count has a score.
+
+        Examples
+        --------
+        See `Selection`.
+        """
         return {
             name: None if np.isnan(curve).all() else int(self.counts[np.nanargmin(curve)])
             for name, curve in self.curves.items()
@@ -174,8 +182,8 @@ def select_warp(
         Which criterion selects, see `mexpress.criteria`. ER10 predicts every match with all matches within 10 % of the
         diagonal held out, as the paper advises; no radius is right for every use, so look at several.
     criteria : sequence of str, or mapping of str to Scheme, optional
-        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own: if
-        the criterion is one of them they stand alone, else beside the three.
+        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own,
+        by names that no criterion has: if the criterion is one of them they stand alone, else beside the three.
     lifting : str, default "tps"
         The functions that bend the plane.
     fractional : bool, default True

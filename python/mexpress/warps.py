@@ -630,9 +630,8 @@ def fit_warp(
     >>> warp([[50, 0], [100, 100]]).round(6) + 0.0
     array([[ 50.,   0.], [ 80., 100.]])
     """
-    if not isinstance(fractional, bool | np.bool_):
-        check.refuse("fractional", "It must be True or False.", check.describe(fractional), TypeError)
-    design = warp_design(make_lifting(lifting, control_points), source, target, bool(fractional))
+    fractional = check.flag(fractional, "fractional")
+    design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
     model = LeastSquares(design.A, design.b, coupling=design.coupling)
     rows, unknowns = design.A.shape
     if model.rank < unknowns:
