@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from oracle import Problem
 
 import mexpress as mx
+from mexpress.designs import warp_design
 from mexpress.liftings import make_lifting
 from mexpress.placement import lloyd
-from mexpress.warps import warp_design
 
 SIZE = (640, 480)
 

@@ -8,9 +8,10 @@ import skimage.transform
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mexpress.designs import fit_warp, warp_design
 from mexpress.files import load, save
 from mexpress.liftings import ThinPlateSpline
-from mexpress.warps import Warp, fit_warp, warp_design
+from mexpress.warps import Warp
 
 WIDTH, HEIGHT = 640, 480
 CORNERS = np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, HEIGHT], [0.0, HEIGHT]])

@@ -11,10 +11,11 @@ CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
 from importlib.metadata import version
 
 from mexpress import criteria, schemes
+from mexpress.designs import fit_warp
 from mexpress.files import load
 from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning
 from mexpress.selection import Selection, WarpSelection, select_warp
-from mexpress.warps import Warp, fit_warp
+from mexpress.warps import Warp
 
 __all__ = [
     "CrossValidation",

@@ -129,7 +129,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     Examples
     --------
     >>> import tempfile
-    >>> from mexpress.warps import fit_warp
+    >>> from mexpress import fit_warp
     >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
     >>> warp = fit_warp(square, [[5, 5], [90, 0], [0, 110], [95, 99]], square[:3])
     >>> with tempfile.TemporaryDirectory() as folder:

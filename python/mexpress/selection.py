@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, Score, parse
+from mexpress.designs import matched, warp_design
 from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import make_lifting
 from mexpress.placement import covered_region, lloyd
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
-from mexpress.warps import Warp, matched, warp_design
+from mexpress.warps import Warp
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress import files
 from mexpress._validation import Floats
-from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import Lifting, evaluate, make_lifting, slopes
 from mexpress.placement import covered_region, lattice
 
-__all__ = ["Warp", "WarpDesign", "fit_warp", "warp_design"]
+__all__ = ["Warp"]
 
 _SAMPLES = 1000
 """Points of the domain that decide what is usual there and start the inverse."""
@@ -64,8 +63,10 @@ class Warp:
 
     Examples
     --------
+    >>> import mexpress as mx
     >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> warp = fit_warp(square, [[10, 0], [110, 0], [10, 200], [110, 200]], square[:3], fractional=False)
+    >>> import mexpress as mx
+    >>> warp = mx.fit_warp(square, [[10, 0], [110, 0], [10, 200], [110, 200]], square[:3], fractional=False)
     >>> warp
     Warp(tps, 3 control points)
     >>> warp([[50, 50]]).round(6)
@@ -268,8 +269,10 @@ class Warp:
 
         Examples
         --------
+        >>> import mexpress as mx
         >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp = fit_warp(square, [[0, 0], [100, 10], [0, 100], [70, 60]], square[:3])
+        >>> import mexpress as mx
+        >>> warp = mx.fit_warp(square, [[0, 0], [100, 10], [0, 100], [70, 60]], square[:3])
         >>> warp.inverse(warp([[30, 40]])).round(6)
         array([[30., 40.]])
         """
@@ -310,8 +313,9 @@ class Warp:
 
         Examples
         --------
+        >>> import mexpress as mx
         >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> shift = fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
+        >>> shift = mx.fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
         >>> shift.dense_map(3, 2).round(3)[0]
         array([[7., 8., 9.],
                [7., 8., 9.]], dtype=float32)
@@ -425,238 +429,6 @@ class Warp:
         step[~np.isfinite(step).all(axis=1)] = 0
         longest = np.hypot(*np.ptp(self.domain, axis=0))
         return np.asarray(step * (longest / np.maximum(_norm(step), longest))[:, None])
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class WarpDesign:
-    """The linear least-squares problem whose solution is a warp: minimise ||b - A x||.
-
-    The residual b - A x is in pixels of the target image in both forms.
-
-    Attributes
-    ----------
-    A : ndarray, (2n, 3l - 1) or (n, l)
-        Design matrix. Fractional: rows 2i and 2i + 1 are the x and y equations of match i; columns are those
-        of p_1 (l), of p_2 (l) and of z (l - 1), where p_3 = 1 + N z. Otherwise: the lifting's basis.
-    b : ndarray, (2n,) or (n, 2)
-        Responses.
-    coupling : int
-        Rows of A per match: 2 or 1.
-    lifting : Lifting
-        With l control points.
-    domain : ndarray, (k, 2)
-        Convex hull of the source points.
-    centre : ndarray, (2,)
-        Mean of the target points, the origin of the unknowns p_1 and p_2.
-    scale : float
-        Root mean square distance of the target points to their mean, the unit of p_1 and p_2.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> from mexpress.liftings import ThinPlateSpline
-    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> design = warp_design(ThinPlateSpline(square[:3]), square, square)
-    >>> model = mx.LeastSquares(design.A, design.b, coupling=design.coupling)
-    >>> design.warp(model.coefficients)
-    Warp(fractional tps, 3 control points)
-    """
-
-    A: Floats
-    b: Floats
-    coupling: int
-    lifting: Lifting
-    domain: Floats
-    centre: Floats
-    scale: float
-
-    def __repr__(self) -> str:
-        return f"WarpDesign({self.A.shape[0]} x {self.A.shape[1]}, {self.lifting!r})"
-
-    @property
-    def fractional(self) -> bool:
-        """Whether the warp has a denominator.
-
-        Examples
-        --------
-        >>> from mexpress.liftings import ThinPlateSpline
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp_design(ThinPlateSpline(square), square, square, fractional=False).fractional
-        False
-        """
-        return self.b.ndim == 1
-
-    def warp(self, coefficients: ArrayLike) -> Warp:
-        """Return the warp of a solution x.
-
-        Parameters
-        ----------
-        coefficients : array_like, (3l - 1,) or (l, 2)
-            Unknowns, in the order of the columns of A.
-
-        Examples
-        --------
-        >>> from mexpress.liftings import ThinPlateSpline
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> design = warp_design(ThinPlateSpline(square), square, square, fractional=False)
-        >>> design.warp(square)
-        Warp(tps, 4 control points)
-        """
-        x = np.asarray(coefficients, dtype=np.float64)
-        if not self.fractional:
-            return Warp(self.lifting, x, self.domain)
-        count = len(self.lifting.control_points)
-        denominator = 1 + _ones_complement(count) @ x[2 * count :]
-        numerators = self.scale * x[: 2 * count].reshape(2, count).T + np.outer(denominator, self.centre)
-        return Warp(self.lifting, np.column_stack([numerators, denominator]), self.domain)
-
-    def bending(self) -> Floats:
-        """Return the rows Z whose squared norm ||Z x||^2 is the bending energy of the warp.
-
-        Not fractional: of one coordinate, so rows apply to both responses. Fractional: of its three functions
-        with the target centred, the denominator times `scale`: all are then in pixels of the target image,
-        and a similarity of it does not matter.
-
-        Returns
-        -------
-        ndarray, (3(l - 3), 3l - 1) or (l - 3, l)
-            In pixels of the target image per pixel of the source image.
-
-        Examples
-        --------
-        >>> from mexpress.liftings import ThinPlateSpline
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp_design(ThinPlateSpline(square), square, square).bending().shape
-        (3, 11)
-        """
-        one = self.lifting.bending()
-        if not self.fractional:
-            return one
-        (k, count), last = one.shape, one @ _ones_complement(one.shape[1])
-        rows = np.zeros((3 * k, 3 * count - 1))
-        rows[:k, :count] = rows[k : 2 * k, count : 2 * count] = one
-        rows[2 * k :, 2 * count :] = last
-        return self.scale * rows
-
-
-def warp_design(
-    lifting: Lifting, source: ArrayLike, target: ArrayLike, fractional: bool = True
-) -> WarpDesign:
-    """Write the fit of a warp to matches as a linear least-squares problem.
-
-    Fractional: the algebraic error of match i is s (t p_3 . nu - p . nu) for p = p_1, p_2 and t = x, y of the
-    target point, centred and in units of s. With denominators of mean one, p_3 = 1 + N z, it is close to the
-    transfer error in pixels. Otherwise it is the transfer error.
-
-    Parameters
-    ----------
-    lifting : Lifting
-        With control points in the source image.
-    source, target : array_like, (n, 2)
-        Matched points in pixels of either image, x then y.
-    fractional : bool
-        Whether the warp has a denominator.
-
-    Returns
-    -------
-    WarpDesign
-        Its solution does not change, but for rounding, with a similarity of either image.
-
-    Raises
-    ------
-    ValueError
-        If the points are not n pairs of finite numbers, or the source points are on a line.
-
-    Examples
-    --------
-    >>> from mexpress.liftings import ThinPlateSpline
-    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> warp_design(ThinPlateSpline(square), square, square)
-    WarpDesign(8 x 11, ThinPlateSpline(4 control points))
-    """
-    source, target = matched(source, target)
-    domain = covered_region(source, "source")
-    basis = lifting.basis(source)
-    centre = target.mean(axis=0)
-    about = target - centre
-    scale = float(np.sqrt((about**2).sum(axis=1).mean())) or 1.0
-    if not fractional:
-        return WarpDesign(basis, target, 1, lifting, domain, centre, scale)
-    n, count = basis.shape
-    rows = np.zeros((n, 2, 3 * count - 1))
-    rows[:, 0, :count] = rows[:, 1, count : 2 * count] = scale * basis
-    rows[:, :, 2 * count :] = -about[:, :, None] * (basis @ _ones_complement(count))[:, None, :]
-    return WarpDesign(rows.reshape(2 * n, -1), about.reshape(-1), 2, lifting, domain, centre, scale)
-
-
-def fit_warp(
-    source: ArrayLike,
-    target: ArrayLike,
-    control_points: ArrayLike,
-    lifting: str = "tps",
-    fractional: bool = True,
-) -> Warp:
-    """Fit a warp with given control points to matches, by least squares.
-
-    Parameters
-    ----------
-    source, target : array_like, (n, 2)
-        Matched points in pixels of either image, x then y.
-    control_points : array_like, (l, 2)
-        In pixels of the source image, 3 or more. With three the warp is affine, or a homography.
-    lifting : str
-        Name of the functions that bend the plane: "tps", thin-plate splines.
-    fractional : bool
-        Whether the warp has a denominator, that is, models perspective. It then has 3l - 1 parameters instead
-        of 2l and minimises the algebraic error, close to the transfer error in pixels.
-
-    Returns
-    -------
-    Warp
-        From the source image to the target image.
-
-    Raises
-    ------
-    ValueError
-        If the input is not n matches and l distinct control points that are not on a line, or if the matches
-        do not determine the warp: they are too few, or none is near some control point.
-
-    Examples
-    --------
-    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> warp = fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
-    >>> warp
-    Warp(fractional tps, 3 control points)
-    >>> warp([[50, 0], [100, 100]]).round(6) + 0.0
-    array([[ 50.,   0.], [ 80., 100.]])
-    """
-    fractional = check.flag(fractional, "fractional")
-    design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
-    model = LeastSquares(design.A, design.b, coupling=design.coupling)
-    rows, unknowns = design.A.shape
-    if model.rank < unknowns:
-        rule = "The matches must determine the warp, so take fewer control points."
-        count, matches = len(design.lifting.control_points), rows // design.coupling
-        given = f"{count}, hence {unknowns} unknowns, and {matches} matches of rank {model.rank} in all"
-        check.refuse("control_points", rule, given)
-    return design.warp(model.coefficients)
-
-
-def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
-    """Return matched points as arrays, checked to be as many."""
-    source, target = check.points(source, "source"), check.points(target, "target")
-    if len(source) != len(target):
-        rule = "It must have one point per source point."
-        check.refuse("target", rule, f"{len(target)} for {len(source)}")
-    return source, target
-
-
-def _ones_complement(count: int) -> Floats:
-    """Return N, (count, count - 1): Helmert's orthonormal basis of the vectors of mean zero."""
-    k = np.arange(1, count)
-    columns = np.triu(np.ones((count, count - 1)))
-    columns[k, k - 1] = -k
-    return np.asarray(columns / np.sqrt(k * (k + 1)))
 
 
 def _determinant(matrices: Floats) -> Floats:
