@@ -65,7 +65,6 @@ class Warp:
     --------
     >>> import mexpress as mx
     >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> import mexpress as mx
     >>> warp = mx.fit_warp(square, [[10, 0], [110, 0], [10, 200], [110, 200]], square[:3], fractional=False)
     >>> warp
     Warp(tps, 3 control points)
@@ -271,7 +270,6 @@ class Warp:
         --------
         >>> import mexpress as mx
         >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> import mexpress as mx
         >>> warp = mx.fit_warp(square, [[0, 0], [100, 10], [0, 100], [70, 60]], square[:3])
         >>> warp.inverse(warp([[30, 40]])).round(6)
         array([[30., 40.]])
