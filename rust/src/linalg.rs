@@ -58,8 +58,14 @@ pub fn reflector_size(rows: usize, columns: usize) -> usize {
     block_size(rows, columns) * rows.min(columns)
 }
 
-/// Columns factored, or multiplied, between two looks at whether the work has been called off.
+/// Most columns factored, or multiplied, between two looks at whether the work has been called off; fewer where each
+/// takes long.
 const PANEL: usize = 128;
+
+/// Columns that take some hundredths of a second together when one of them takes `cost` multiply-adds.
+fn short_run(cost: usize) -> usize {
+    (100_000_000 / cost.max(1)).clamp(1, PANEL)
+}
 
 /// Householder QR: R replaces the upper triangle of `a`, the reflectors the rest and `reflectors`.
 pub fn qr_in_place(
@@ -76,15 +82,17 @@ pub fn qr_in_place(
     let mut h = MatMut::from_column_major_slice_mut(reflectors, block, size);
     let stack = MemStack::new(&mut scratch.memory);
     // Panels of whole blocks leave the reflectors as one call would.
-    let step = PANEL.next_multiple_of(block);
+    let step = short_run(rows * PANEL / 2).next_multiple_of(block);
     for first in (0..size).step_by(step) {
         let width = step.min(size - first);
         let (mut panel, mut rest) = a.rb_mut().get_mut(first.., first..).split_at_col_mut(width);
         let mut h = h.rb_mut().subcols_mut(first, width);
         qr::qr_in_place(panel.rb_mut(), h.rb_mut(), Par::Seq, stack, Default::default());
-        for at in (0..rest.ncols()).step_by(PANEL) {
+        pool.proceed()?;
+        let most = short_run(2 * rows * width);
+        for at in (0..rest.ncols()).step_by(most) {
             pool.proceed()?;
-            let count = PANEL.min(rest.ncols() - at);
+            let count = most.min(rest.ncols() - at);
             let target = rest.rb_mut().subcols_mut(at, count);
             apply_transposed(panel.rb(), h.rb(), Conj::No, target, Par::Seq, stack);
         }
@@ -104,7 +112,7 @@ pub fn apply_q(
     let (block, size) = (block_size(rows, columns), rows.min(columns));
     let basis = MatRef::from_column_major_slice(a, rows, columns).subcols(0, size);
     let h = MatRef::from_column_major_slice(reflectors, block, size);
-    for part in c.chunks_mut(rows * PANEL) {
+    for part in c.chunks_mut(rows * short_run(2 * rows * size)) {
         pool.proceed()?;
         let width = part.len() / rows;
         let c = MatMut::from_column_major_slice_mut(part, rows, width);
