@@ -336,9 +336,7 @@ class LeastSquares:
                 (coupling.offsets, coupling.indices),
                 workers,
             )
-        except ValueError as error:
-            if "has changed" not in str(error):
-                raise
+        except RuntimeError as error:
             check.refuse("A", "It must not change while the model is in use.", str(error))
         pairs = np.repeat(np.arange(len(held)), np.diff(offsets))
         flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
