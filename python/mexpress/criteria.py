@@ -36,7 +36,8 @@ from mexpress import _validation as check
 from mexpress import schemes
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
-from mexpress.schemes import Scheme
+from mexpress.nested import Nested, NestedCurve
+from mexpress.schemes import IndexSets, Scheme, each_alone
 
 __all__ = ["Criterion", "Judge", "Score", "parse"]
 
@@ -93,31 +94,38 @@ SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
 }
 
 
-def _aic(model: LeastSquares) -> float:
-    m = len(model.leverage)
-    return m * _log_rss(model) + 2 * float(model.leverage.sum())
+@dataclass(frozen=True)
+class Fit:
+    """What information criteria look at: E, trace(H), and how many rows and data there are."""
+
+    rms: float
+    parameters: float
+    n_rows: int
+    n_data: int
+
+    @property
+    def log_rss(self) -> float:
+        """ln(RSS / m), counting measurements: with several to a datum, each is one piece of evidence."""
+        mean_square = self.rms**2 * self.n_data / self.n_rows
+        return math.log(mean_square) if mean_square > 0 else -math.inf
 
 
-def _bic(model: LeastSquares) -> float:
-    m = len(model.leverage)
-    return m * _log_rss(model) + math.log(m) * float(model.leverage.sum())
+def _aic(fit: Fit) -> float:
+    return fit.n_rows * fit.log_rss + 2 * fit.parameters
 
 
-def _log_rss(model: LeastSquares) -> float:
-    """ln(RSS / m), counting measurements: with several to a datum, each is one piece of evidence."""
-    m = len(model.leverage)
-    mean_square = model.fit_rms**2 * model.n_data / m
-    return math.log(mean_square) if mean_square > 0 else -math.inf
+def _bic(fit: Fit) -> float:
+    return fit.n_rows * fit.log_rss + math.log(fit.n_rows) * fit.parameters
 
 
-def _gcv(model: LeastSquares) -> float:
+def _gcv(fit: Fit) -> float:
     """Its root, so that it stands beside the prediction errors."""
-    free = 1 - float(model.leverage.sum()) / len(model.leverage)
-    return model.fit_rms / free if free > 1e-12 else math.nan
+    free = 1 - fit.parameters / fit.n_rows
+    return fit.rms / free if free > 1e-12 else math.nan
 
 
-FORMULAS: dict[str, Callable[[LeastSquares], float]] = {
-    "FIT": lambda model: model.fit_rms,
+FORMULAS: dict[str, Callable[[Fit], float]] = {
+    "FIT": lambda fit: fit.rms,
     "AIC": _aic,
     "BIC": _bic,
     "GCV": _gcv,
@@ -302,6 +310,7 @@ class Judge:
             lost = Score(math.nan, np.arange(model.n_data))
             return dict.fromkeys(self.criteria, lost)
         validated = cross_validate_all(model, self.schemes, threads)
+        fit = Fit(model.fit_rms, float(model.leverage.sum()), len(model.leverage), model.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in validated:
@@ -310,10 +319,62 @@ class Judge:
                 data = [pairs[pair] for pair in cv.undefined]
                 scores[name] = Score(cv.score, np.unique(np.concatenate([*data, cv.undefined[:0]])))
             elif criterion is not None and criterion.family in FORMULAS:
-                scores[name] = Score(FORMULAS[criterion.family](model), np.zeros(0, dtype=np.int64))
+                scores[name] = Score(FORMULAS[criterion.family](fit), np.zeros(0, dtype=np.int64))
             else:
                 scores[name] = _press(model, threads)
         return scores
+
+    def curves(self, nested: Nested, sizes: Integers, threads: int | None = None) -> dict[str, list[Score]]:
+        """Every criterion's score of every model of a nested design, in one sweep.
+
+        Parameters
+        ----------
+        nested : Nested
+            From `mexpress.nested`, over as many data as there are points.
+        sizes : (k,) int64 array
+            The models' numbers of columns, increasing.
+        threads : int, optional
+            At most so many threads.
+
+        Returns
+        -------
+        dict of str to list of Score
+            By the criteria's names, one a size.
+
+        Examples
+        --------
+        >>> from mexpress.criteria import Judge
+        >>> from mexpress.nested import Nested
+        >>> import numpy as np
+        >>> nested = Nested([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]], [1.0, 3.0, 5.0])
+        >>> curves = Judge.of(["FIT", "CMPRESS"], np.eye(3, 2)).curves(nested, np.array([1, 2]))
+        >>> [round(score.value, 3) + 0.0 for score in curves["CMPRESS"]]
+        [2.449, 0.0]
+        """
+        fits = nested.fits(sizes, threads)
+        found = nested.curves(self.schemes, sizes, threads)
+        scores = {}
+        for name, criterion in self.criteria.items():
+            if name in found:
+                scores[name] = _scored(found[name], self.schemes[name].validated)
+            elif criterion is not None and criterion.family in FORMULAS:
+                formula = FORMULAS[criterion.family]
+                each = zip(fits.rms, fits.parameters, strict=True)
+                models = (Fit(float(e), float(k), nested.n_rows, nested.n_data) for e, k in each)
+                scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
+            else:
+                scores[name] = _scored(nested.press(sizes, threads), each_alone(nested.n_rows))
+        return scores
+
+
+def _scored(curve: NestedCurve, validated: IndexSets) -> list[Score]:
+    """Scores of all models, with the validated data of the pairs that lack the rank."""
+    scores = []
+    for k, value in enumerate(curve.scores):
+        lost = np.flatnonzero(curve.defined <= k)
+        data = [validated[pair] for pair in lost]
+        scores.append(Score(float(value), np.unique(np.concatenate([*data, lost[:0]]))))
+    return scores
 
 
 def _press(model: LeastSquares, threads: int | None) -> Score:

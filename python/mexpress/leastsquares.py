@@ -86,6 +86,53 @@ class CrossValidation:
         return f"CrossValidation(score={self.score:.7g}, {counts})"
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem:
+    """A least-squares problem as the core takes it, checked.
+
+    Examples
+    --------
+    >>> from mexpress.leastsquares import Problem
+    >>> Problem.of([[1], [1]], [2, 3], weights=[1, 16]).row_weights
+    array([0.0625, 1.    ])
+    """
+
+    design: Floats
+    responses: Floats
+    coupling: IndexSets
+    row_weights: Floats | None
+    penalty: Floats
+
+    @classmethod
+    def of(
+        cls,
+        A: ArrayLike,
+        b: ArrayLike,
+        coupling: int | ArrayLike = 1,
+        weights: ArrayLike | None = None,
+        penalty: ArrayLike | None = None,
+    ) -> Problem:
+        """Check what `LeastSquares` is given.
+
+        Examples
+        --------
+        See the class.
+        """
+        design = check.matrix(A, "A")
+        m, p = design.shape
+        responses = check.columns(b, "b", m)
+        rows = _couple(coupling, m)
+        row_weights, exponent = _weigh(weights, rows, m)
+        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
+        return cls(design, responses, rows, row_weights, extra)
+
+    @property
+    def arrays(self) -> tuple[Floats, Floats, Floats | None, Floats]:
+        """Design, responses (m, r), roots of the row weights, and penalty rows."""
+        roots = None if self.row_weights is None else np.sqrt(self.row_weights)
+        return self.design, self.responses.reshape(len(self.design), -1), roots, self.penalty
+
+
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class LeastSquares:
     """A linear least-squares fit: ``min sum_i w_i ||b_i - A_i x||^2 + ||Z x||^2``.
@@ -161,26 +208,19 @@ class LeastSquares:
         *,
         threads: int | None = None,
     ) -> None:
-        design = check.matrix(A, "A")
-        m, p = design.shape
-        responses = check.columns(b, "b", m)
-        rows = _couple(coupling, m)
-        row_weights, exponent = _weigh(weights, rows, m)
-        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
-        wide = responses.reshape(m, -1)
-        roots = None if row_weights is None else np.sqrt(row_weights)
-        factor = _core.Factor(design, wide, roots, extra, check.threads(threads))
-        flat = responses.ndim == 1
+        given = Problem.of(A, b, coupling, weights, penalty)
+        factor = _core.Factor(*given.arrays, check.threads(threads))
+        flat = given.responses.ndim == 1
         residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
         self._set(
             coefficients=coefficients[:, 0] if flat else coefficients,
             residuals=residuals[:, 0] if flat else residuals,
             leverage=factor.leverage,
             rank=factor.rank,
-            n_data=len(rows),
+            n_data=len(given.coupling),
             _factor=factor,
-            _coupling=rows,
-            _row_weights=row_weights,
+            _coupling=given.coupling,
+            _row_weights=given.row_weights,
         )
 
     def _set(self, **fields: Any) -> None:

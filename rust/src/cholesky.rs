@@ -16,7 +16,10 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-const PANEL: usize = 8;
+use crate::gram::Gram;
+
+/// Rows of a panel.
+pub(crate) const PANEL: usize = 8;
 
 /// Panels of columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
 const BLOCK: usize = 8;
@@ -29,6 +32,8 @@ pub struct Bordered {
     shape: Shape,
     inverse_pivots: Vec<f64>,
     solution: Vec<f64>,
+    /// Rows that came after the factorisation, and became forward solves: panels of `order` columns.
+    carried: Vec<f64>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -71,6 +76,23 @@ impl Bordered {
         }
         for j in 0..order {
             *self.entry(j, j) = 1.0;
+        }
+    }
+
+    /// Begins a system from a matrix with its right-hand sides, and room for more border rows below these.
+    pub fn start_from(&mut self, gram: &Gram, more: usize) {
+        let (order, border) = gram.shape();
+        self.reserve(order, border + more, 0);
+        self.shape = Shape { order, terms: 0, panels: (order + border + more).div_ceil(PANEL) };
+        let stride = self.shape.stride();
+        for panel in 0..self.shape.panels {
+            let target = &mut self.storage[self.skip + panel * stride..self.skip + (panel + 1) * stride];
+            if panel < gram.count() {
+                let source = gram.panel(panel);
+                target[..source.len()].copy_from_slice(source);
+            } else {
+                target.fill(0.0);
+            }
         }
     }
 
@@ -132,6 +154,28 @@ impl Bordered {
         let Self { storage, skip, shape, inverse_pivots, .. } = self;
         let storage = &mut storage[*skip..];
         Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
+    }
+
+    /// Forward solves `L^-1 x` of rows that come after the factorisation: eight at a time, `order` columns of eight lanes.
+    pub fn carry<'a>(&mut self, rows: impl ExactSizeIterator<Item = &'a [f64]>) -> &[[f64; PANEL]] {
+        let Shape { order, .. } = self.shape;
+        let panels = rows.len().div_ceil(PANEL);
+        self.carried.clear();
+        self.carried.resize(panels * order * PANEL, 0.0);
+        for (k, row) in rows.enumerate() {
+            let lanes = self.carried[k / PANEL * order * PANEL..].chunks_exact_mut(PANEL);
+            lanes.zip(row).for_each(|(lane, x)| lane[k % PANEL] = *x);
+        }
+        let Self { storage, skip, shape, inverse_pivots, carried, .. } = self;
+        let factor = &storage[*skip..];
+        Arch::new().dispatch(Carry { factor, shape: *shape, inverse_pivots, carried });
+        self.carried.as_chunks().0
+    }
+
+    /// The forward solve of a border row.
+    pub fn forward_row(&self, row: usize, out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(self.forward(row));
     }
 
     /// Inner product of the forward solves of two border rows.
@@ -267,24 +311,12 @@ impl Factor<'_> {
             return self.update::<S, V, 1, C>(simd, row, column, from, to);
         }
         for c in (0..width).step_by(C) {
-            let mut sums = [[[simd.splat_f64s(0.0); V]; R]; C];
             let factors = &self.storage[column * stride + from * PANEL..column * stride + to * PANEL];
             let rows: [&[S::f64s]; R] = std::array::from_fn(|r| {
                 let at = (row + r) * stride;
                 S::as_simd_f64s(&self.storage[at + from * PANEL..at + to * PANEL]).0
             });
-            for (t, factor) in factors.chunks_exact(PANEL).enumerate() {
-                let here: [&[S::f64s; V]; R] =
-                    std::array::from_fn(|r| (&rows[r][t * V..t * V + V]).try_into().unwrap());
-                for (k, sum) in sums.iter_mut().enumerate() {
-                    let f = simd.splat_f64s(factor[c + k]);
-                    for r in 0..R {
-                        for v in 0..V {
-                            sum[r][v] = simd.mul_add_f64s(here[r][v], f, sum[r][v]);
-                        }
-                    }
-                }
-            }
+            let sums = products::<S, V, R, C>(simd, rows, factors, c);
             for (k, sum) in sums.iter().enumerate().take(width - c) {
                 for (r, sum) in sum.iter().enumerate() {
                     let at = (row + r) * stride + (self.shape.terms + column * PANEL + c + k) * PANEL;
@@ -334,21 +366,104 @@ impl Factor<'_> {
         let (above, below) = self.storage.split_at_mut(row * stride);
         let diagonal = &above[column * stride + offset..column * stride + offset + width * PANEL];
         let (block, _) = S::as_mut_simd_f64s(&mut below[offset..offset + width * PANEL]);
-        for k in 0..width {
-            let (done, rest) = block.split_at_mut((k + 1) * V);
-            let current = &mut done[k * V..];
-            let inverse = simd.splat_f64s(self.inverse_pivots[first + k]);
-            for x in current.iter_mut() {
-                *x = simd.mul_f64s(*x, inverse);
+        substitute::<S, V>(simd, block, diagonal, &self.inverse_pivots[first..first + width]);
+    }
+}
+
+/// Forward substitution in panels of right-hand sides.
+struct Carry<'a> {
+    factor: &'a [f64],
+    shape: Shape,
+    inverse_pivots: &'a [f64],
+    carried: &'a mut [f64],
+}
+
+impl WithSimd for Carry<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F64_LANES {
+            8 => self.run::<S, 1, 8>(simd),
+            4 => self.run::<S, 2, 4>(simd),
+            2 => self.run::<S, 4, 2>(simd),
+            _ => self.run::<S, 8, 1>(simd),
+        }
+    }
+}
+
+impl Carry<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const V: usize, const C: usize>(self, simd: S) {
+        let order = self.shape.order;
+        let stride = self.shape.stride();
+        for panel in self.carried.chunks_exact_mut(order * PANEL) {
+            for first in (0..order).step_by(PANEL) {
+                let width = PANEL.min(order - first);
+                let at = first / PANEL * stride + self.shape.terms * PANEL;
+                let (done, rest) = panel.split_at_mut(first * PANEL);
+                let known = S::as_simd_f64s(done).0;
+                let block = S::as_mut_simd_f64s(&mut rest[..width * PANEL]).0;
+                for c in (0..width).step_by(C) {
+                    let factors = &self.factor[at..at + first * PANEL];
+                    let sums = products::<S, V, 1, C>(simd, [known], factors, c);
+                    for (target, sum) in block[c * V..].chunks_exact_mut(V).zip(&sums) {
+                        target.iter_mut().zip(sum[0]).for_each(|(t, s)| *t = simd.sub_f64s(*t, s));
+                    }
+                }
+                let diagonal = &self.factor[at + first * PANEL..at + (first + width) * PANEL];
+                substitute::<S, V>(simd, block, diagonal, &self.inverse_pivots[first..first + width]);
             }
-            for (j, other) in rest.chunks_exact_mut(V).enumerate() {
-                let factor = simd.splat_f64s(-diagonal[k * PANEL + k + 1 + j]);
-                for (o, &x) in other.iter_mut().zip(&*current) {
-                    *o = simd.mul_add_f64s(x, factor, *o);
+        }
+    }
+}
+
+/// Finishes the columns of a block of eight rows, given the factor's diagonal block beside it.
+#[inline(always)]
+fn substitute<S: Simd, const V: usize>(
+    simd: S,
+    block: &mut [S::f64s],
+    diagonal: &[f64],
+    inverse_pivots: &[f64],
+) {
+    for (k, inverse) in inverse_pivots.iter().enumerate() {
+        let (done, rest) = block.split_at_mut((k + 1) * V);
+        let current = &mut done[k * V..];
+        let inverse = simd.splat_f64s(*inverse);
+        for x in current.iter_mut() {
+            *x = simd.mul_f64s(*x, inverse);
+        }
+        for (j, other) in rest.chunks_exact_mut(V).enumerate() {
+            let factor = simd.splat_f64s(-diagonal[k * PANEL + k + 1 + j]);
+            for (o, &x) in other.iter_mut().zip(&*current) {
+                *o = simd.mul_add_f64s(x, factor, *o);
+            }
+        }
+    }
+}
+
+/// Inner products of the rows of `R` panels with rows `first..first + C` of another panel, over all of their columns.
+#[inline(always)]
+pub(crate) fn products<S: Simd, const V: usize, const R: usize, const C: usize>(
+    simd: S,
+    rows: [&[S::f64s]; R],
+    factors: &[f64],
+    first: usize,
+) -> [[[S::f64s; V]; R]; C] {
+    let mut sums = [[[simd.splat_f64s(0.0); V]; R]; C];
+    for (t, factor) in factors.chunks_exact(PANEL).enumerate() {
+        let here: [&[S::f64s; V]; R] =
+            std::array::from_fn(|r| (&rows[r][t * V..t * V + V]).try_into().unwrap());
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let f = simd.splat_f64s(factor[first + k]);
+            for r in 0..R {
+                for v in 0..V {
+                    sum[r][v] = simd.mul_add_f64s(here[r][v], f, sum[r][v]);
                 }
             }
         }
     }
+    sums
 }
 
 #[cfg(test)]

@@ -21,6 +21,11 @@ pub enum Error {
         /// Indices must be below this.
         bound: usize,
     },
+    /// Numbers that must increase do not.
+    Decreasing {
+        /// The first that is less than the one before it.
+        index: usize,
+    },
     /// A number that must be finite is not.
     NotFinite {
         /// Its place in the slice.
@@ -51,6 +56,7 @@ impl fmt::Display for Error {
             Self::Interrupted => write!(f, "interrupted"),
             Self::Length { expected, given } => write!(f, "length {given} where {expected} was expected"),
             Self::Index { index, bound } => write!(f, "index {index} is not below {bound}"),
+            Self::Decreasing { index } => write!(f, "number {index} is less than the one before"),
             Self::NotFinite { index } => write!(f, "number {index} is not finite"),
             Self::TooMany { most } => write!(f, "more than {most} neighbours in all"),
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),

@@ -108,7 +108,7 @@ impl Factor {
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         };
         factor.largest_response = factor.residuals.iter().fold(0.0, |largest, b| f64::max(largest, b.abs()));
-        let projection = factor.project(pool)?;
+        let projection = factor.project(&factor.residuals, pool)?;
         factor.coefficients = top.solve(&projection, responses);
         for column in factor.coefficients.chunks_exact_mut(columns) {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
@@ -174,9 +174,9 @@ impl Factor {
         (0..self.rows).flat_map(|i| self.residual_row(i).iter().map(move |e| e * self.unweight(i))).collect()
     }
 
-    /// `Q^T b`, rank x responses, column-major; `residuals` still holds the responses. Summed block by block, so
-    /// that the order of the sum does not depend on who computes it.
-    fn project(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    /// `Q^T b`, rank x responses, column-major, of weighted responses. Summed block by block, so that the order of the sum
+    /// does not depend on who computes it.
+    pub(crate) fn project(&self, right: &[f64], pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         let (rank, responses) = (self.rank, self.responses);
         let size = rank * responses;
         if size == 0 {
@@ -184,9 +184,9 @@ impl Factor {
         }
         let total = self.basis.len() / rank;
         let mut parts = vec![0.0; total.div_ceil(ROWS) * size];
-        let (basis, residuals) = (self.basis.chunks(ROWS * rank), self.residuals.chunks(ROWS * responses));
+        let (basis, right) = (self.basis.chunks(ROWS * rank), right.chunks(ROWS * responses));
         pool.run(
-            parts.chunks_exact_mut(size).zip(basis).zip(residuals),
+            parts.chunks_exact_mut(size).zip(basis).zip(right),
             || (),
             |(), ((part, q), b)| linalg::transposed_product(q, b, rank, responses, part),
         )?;
@@ -195,6 +195,41 @@ impl Factor {
             sum.iter_mut().zip(part).for_each(|(s, x)| *s += x);
         }
         Ok(sum)
+    }
+
+    /// The columns that are independent of those before them, as many as the rank, increasing.
+    pub(crate) fn independent_columns(&self, pool: &Pool<'_>) -> Result<Vec<usize>, Error> {
+        let column = |j: usize| &self.triangle[j * self.rank..(j + 1) * self.rank];
+        let mut directions: Vec<Vec<f64>> = Vec::new();
+        let mut kept = Vec::new();
+        for j in 0..self.columns {
+            pool.proceed()?;
+            let mut rest = column(j).to_vec();
+            for _ in 0..2 {
+                for direction in &directions {
+                    let along = dot(direction, &rest);
+                    rest.iter_mut().zip(direction).for_each(|(x, d)| *x -= along * d);
+                }
+            }
+            let length = dot(&rest, &rest).sqrt();
+            if length > self.tolerance * (kept.len() as f64 + 1.0).sqrt() {
+                rest.iter_mut().for_each(|x| *x /= length);
+                directions.push(rest);
+                kept.push(j);
+            }
+        }
+        // Where no column is near those before it, and yet all of them together are dependent (Kahan's triangles).
+        loop {
+            let matrix = |count: usize| kept[..count].iter().flat_map(|&j| column(j)).copied().collect();
+            let first = first_deficient(kept.len(), |count| {
+                let values = linalg::thin_svd(matrix(count), self.rank, count, pool)?.s;
+                Ok(count <= self.rank && numerical_rank(&values, self.tolerance) == count)
+            })?;
+            match first {
+                Some(count) => drop(kept.remove(count - 1)),
+                None => return Ok(kept),
+            }
+        }
     }
 
     /// Turns responses into residuals, and fills in the leverage.
@@ -262,7 +297,7 @@ fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Err
 }
 
 /// `[W^1/2 b; 0]`.
-fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec<f64> {
+pub(crate) fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec<f64> {
     let mut b = problem.responses.to_vec();
     b.resize((problem.rows + problem.penalty.len() / problem.columns) * responses, 0.0);
     if let (Some(weights), true) = (problem.root_weights, responses > 0) {
@@ -507,6 +542,22 @@ impl Revealed {
         }
         Ok(Self { left, values, triangle, inverse: Inverse::Pseudo(inverse) })
     }
+}
+
+/// The smallest number of leading columns that are not of full rank, if all of them are not: rank, once lost, stays so.
+pub(crate) fn first_deficient(
+    columns: usize,
+    mut full: impl FnMut(usize) -> Result<bool, Error>,
+) -> Result<Option<usize>, Error> {
+    if full(columns)? {
+        return Ok(None);
+    }
+    let (mut good, mut bad) = (0, columns);
+    while bad - good > 1 {
+        let middle = usize::midpoint(good, bad);
+        if full(middle)? { good = middle } else { bad = middle }
+    }
+    Ok(Some(bad))
 }
 
 /// How many singular values, in decreasing order, stand out of the rounding of the first.

@@ -24,7 +24,7 @@ const SAFE: f64 = 1e-5;
 const CARRIED: usize = 4;
 
 /// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
-const PROBES: usize = 2;
+pub(crate) const PROBES: usize = 2;
 
 /// Hat matrices are kept whole up to this many rows (72 MB).
 const HAT_ROWS: usize = 3000;
@@ -349,19 +349,6 @@ impl Workspace {
         }
     }
 
-    /// Factors, and estimates the smallest eigenvalue from above. Pivots alone can hide it (Kahan's triangles), so random
-    /// signs d ride along: `d^T M^-1 d` is about 1 / lambda_min once that is small.
-    fn factor(&mut self, order: usize, responses: usize) -> f64 {
-        let smallest = self.system.factor();
-        if smallest <= 0.0 {
-            return 0.0;
-        }
-        let probe = |k| self.system.forward_dot(responses + k, responses + k) - 10.0 * order as f64;
-        (0..PROBES)
-            .map(probe)
-            .fold(smallest, |least, grown| if grown > 0.0 { least.min(grown.recip()) } else { least })
-    }
-
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
     fn unrolled<const N: usize>(&self, factor: &Factor, out: &mut [f64]) -> f64 {
         let q: [&[f64]; N] = std::array::from_fn(|i| factor.basis_row(self.rows[i]));
@@ -409,7 +396,7 @@ impl Workspace {
             }
         }
         self.system.clear_rows(q);
-        let least = self.factor(q, responses);
+        let least = least_eigenvalue(&mut self.system, q, responses);
         if least >= SAFE {
             for c in 0..responses {
                 let z = self.system.back_solve(c, q - self.validated);
@@ -428,7 +415,7 @@ impl Workspace {
             }
         }
         self.system.set_terms(|t| factor.basis_row(rows[t]), |t| factor.residual_row(rows[t]));
-        self.factor(factor.rank, factor.responses)
+        least_eigenvalue(&mut self.system, factor.rank, factor.responses)
     }
 
     fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
@@ -458,8 +445,21 @@ impl Workspace {
     }
 }
 
+/// Factors, and estimates the smallest eigenvalue from above. Pivots alone can hide it (Kahan's triangles), so random
+/// signs d ride along below the responses: `d^T M^-1 d` is about 1 / lambda_min once that is small.
+pub(crate) fn least_eigenvalue(system: &mut Bordered, order: usize, responses: usize) -> f64 {
+    let smallest = system.factor();
+    if smallest <= 0.0 {
+        return 0.0;
+    }
+    let probe = |k| system.forward_dot(responses + k, responses + k) - 10.0 * order as f64;
+    (0..PROBES)
+        .map(probe)
+        .fold(smallest, |least, grown| if grown > 0.0 { least.min(grown.recip()) } else { least })
+}
+
 /// The j-th of a fixed sequence of signs that no structure of a design knows of.
-fn sign(probe: usize, j: usize) -> f64 {
+pub(crate) fn sign(probe: usize, j: usize) -> f64 {
     let mixed = ((j * PROBES + probe + 1) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     if (mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 63 == 0 { 1.0 } else { -1.0 }
 }

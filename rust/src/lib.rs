@@ -27,9 +27,12 @@
 //! |---|---|
 //! | [`factor`] | blocked Householder QR: basis, rank, coefficients, residuals, leverage |
 //! | [`holdout`] | held-out pairs: which method, and their predictions in parallel |
+//! | [`nested`] | every leading model at once: whole curves for the price of one model |
+//! | [`gram`] | the matrix that neighbouring held-out sets share |
 //! | [`cholesky`] | the kernel: Gram matrix, factorisation and solve in one recurrence |
 //! | [`refit`] | pairs at the edge of rank loss |
 //! | [`neighbours`], [`delaunay`] | which data are near which |
+//! | [`curve`] | an order in which successive data are near each other |
 //! | [`placement`] | Lloyd's algorithm for control points |
 //! | [`scheme`] | index sets in compressed rows |
 //! | [`pool`] | threads, cancellation, `fork` |
@@ -73,12 +76,15 @@
 #![deny(missing_docs)]
 
 pub mod cholesky;
+pub mod curve;
 pub mod delaunay;
 pub mod error;
 pub mod factor;
+pub mod gram;
 pub mod holdout;
 pub mod linalg;
 pub mod neighbours;
+pub mod nested;
 pub mod placement;
 pub mod pool;
 #[cfg(feature = "python")]

@@ -15,7 +15,7 @@ use crate::factor::Problem;
 use crate::holdout::{Pairs, Status};
 use crate::pool::Pool;
 use crate::scheme::Sets;
-use crate::{delaunay, neighbours, placement};
+use crate::{curve, delaunay, neighbours, nested, placement};
 
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Array2<'py, T> = Bound<'py, PyArray2<T>>;
@@ -79,10 +79,13 @@ fn matrix<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>) -> PyResult
         .ok_or_else(|| PyValueError::new_err("array is not contiguous"))
 }
 
-fn sets(offsets: &PyReadonlyArray1<'_, i64>, items: &PyReadonlyArray1<'_, i64>) -> PyResult<Sets> {
+fn numbers(values: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
     let index = |&i: &i64| usize::try_from(i).map_err(|_| PyValueError::new_err("negative index"));
-    let offsets: Vec<usize> = slice(offsets)?.iter().map(index).collect::<PyResult<_>>()?;
-    let items: Vec<usize> = slice(items)?.iter().map(index).collect::<PyResult<_>>()?;
+    slice(values)?.iter().map(index).collect()
+}
+
+fn sets(offsets: &PyReadonlyArray1<'_, i64>, items: &PyReadonlyArray1<'_, i64>) -> PyResult<Sets> {
+    let (offsets, items) = (numbers(offsets)?, numbers(items)?);
     let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
     if whole && offsets.is_sorted() {
         Ok(Sets { offsets, items })
@@ -239,6 +242,89 @@ impl Factor {
     }
 }
 
+/// Models of leading columns. Keeps the caller's arrays, not copies, as `Factor` does.
+#[pyclass(frozen, module = "mexpress._core")]
+struct Nested {
+    models: nested::Nested,
+    design: Py<PyArray2<f64>>,
+    responses: Py<PyArray2<f64>>,
+    root_weights: Option<Py<PyArray1<f64>>>,
+    penalty: Py<PyArray2<f64>>,
+}
+
+type ReadSets<'py> = (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>);
+
+#[pymethods]
+impl Nested {
+    #[new]
+    fn new<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        root_weights: Option<Array1<'py, f64>>,
+        penalty: Array2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let held = Held::new(&design, &responses, root_weights.as_ref(), &penalty)?;
+        let problem = held.problem()?;
+        let models = interruptible(py, f64::INFINITY, threads, |pool| nested::Nested::new(&problem, pool))?;
+        Ok(Self {
+            models,
+            design: design.unbind(),
+            responses: responses.unbind(),
+            root_weights: root_weights.map(Bound::unbind),
+            penalty: penalty.unbind(),
+        })
+    }
+
+    /// (squares, parameters, ranks) of the fits with these numbers of columns.
+    fn fits<'py>(
+        &self,
+        py: Python<'py>,
+        sizes: PyReadonlyArray1<'py, i64>,
+        threads: usize,
+    ) -> PyResult<(Array1<'py, f64>, Array1<'py, f64>, Array1<'py, i64>)> {
+        let sizes = numbers(&sizes)?;
+        let fits = interruptible(py, f64::INFINITY, threads, |pool| self.models.fits(&sizes, pool))?;
+        Ok((
+            PyArray1::from_iter(py, fits.iter().map(|fit| fit.squares)),
+            PyArray1::from_iter(py, fits.iter().map(|fit| fit.parameters)),
+            PyArray1::from_iter(py, fits.iter().map(|fit| fit.rank as i64)),
+        ))
+    }
+
+    /// (squares by size, number of sizes that are defined by pair) of each scheme, given as (held, validated, order).
+    fn curves<'py>(
+        &self,
+        py: Python<'py>,
+        schemes: Vec<(ReadSets<'py>, ReadSets<'py>, PyReadonlyArray1<'py, i64>)>,
+        rows: ReadSets<'py>,
+        sizes: PyReadonlyArray1<'py, i64>,
+        threads: usize,
+    ) -> PyResult<Vec<(Array1<'py, f64>, Array1<'py, i64>)>> {
+        let lists = schemes
+            .iter()
+            .map(|(held, validated, order)| {
+                Ok((sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, numbers(order)?))
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let schemes: Vec<nested::Scheme<'_>> =
+            lists.iter().map(|(held, validated, order)| nested::Scheme { held, validated, order }).collect();
+        let (rows, sizes) = (sets(&rows.0, &rows.1)?, numbers(&sizes)?);
+        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
+        let arrays =
+            Held::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))?;
+        let problem = arrays.problem()?;
+        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+            self.models.curves(&problem, &schemes, &rows, &sizes, pool)
+        })?;
+        Ok(found
+            .into_iter()
+            .map(|curve| (PyArray1::from_vec(py, curve.squares), indices(py, &curve.defined)))
+            .collect())
+    }
+}
+
 /// Row and column of the first entry that is NaN or infinite.
 #[pyfunction]
 fn find_not_finite(py: Python<'_>, values: PyReadonlyArray2<'_, f64>) -> PyResult<Option<(usize, usize)>> {
@@ -252,6 +338,15 @@ fn find_not_finite(py: Python<'_>, values: PyReadonlyArray2<'_, f64>) -> PyResul
         })
     });
     Ok(first.map(|i| (i / columns, i % columns)))
+}
+
+/// The points in the order of a curve that fills the space.
+#[pyfunction]
+fn along_curve<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Array1<'py, i64>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let order = py.detach(|| curve::along_curve(points, dimension))?;
+    Ok(indices(py, &order))
 }
 
 /// Neighbourhoods of points within a radius, as (offsets, items).
@@ -316,5 +411,8 @@ fn lloyd<'py>(
 #[pymodule(gil_used = false)]
 mod _core {
     #[pymodule_export]
-    use super::{Factor, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest, neighbours_within};
+    use super::{
+        Factor, Nested, along_curve, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest,
+        neighbours_within,
+    };
 }

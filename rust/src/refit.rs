@@ -7,7 +7,7 @@
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::{Factor, Problem, numerical_rank};
+use crate::factor::{Factor, Problem, first_deficient, numerical_rank};
 use crate::holdout::Status;
 use crate::linalg::{self, QrScratch, dot};
 use crate::pool::Pool;
@@ -27,6 +27,7 @@ pub struct Refit {
     gradient: Vec<f64>,
     /// A block of training rows under the triangle of those before, column-major.
     block: Vec<f64>,
+    height: usize,
     reflectors: Vec<f64>,
     scratch: Option<QrScratch>,
 }
@@ -142,6 +143,70 @@ impl Refit {
         }
         linalg::solve_upper(&self.block, height, rank, &mut self.change, responses);
         Ok(true)
+    }
+
+    /// Reduces the training rows of a design of full rank, and tells how many of its leading columns they determine.
+    pub(crate) fn lead(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        rows: &[usize],
+    ) -> Result<usize, Error> {
+        self.held.resize(factor.total_rows, false);
+        rows.iter().for_each(|&i| self.held[i] = true);
+        let (rank, responses) = (factor.rank, factor.responses);
+        let width = rank + responses;
+        self.row.resize(width, 0.0);
+        self.height = (self.held.len() - rows.len()).clamp(width, width + ROWS);
+        let reduced = self.triangle(factor, problem, pool, self.height, width);
+        rows.iter().for_each(|&i| self.held[i] = false);
+        reduced?;
+        // A diagonal entry bounds the least singular value, the longest column the largest: most losses show without a
+        // decomposition.
+        let longest = (0..rank).map(|j| self.column(j, j + 1)).map(|c| dot(c, c).sqrt()).fold(0.0, f64::max);
+        let vanishing = |&j: &usize| self.column(j, j + 1)[j].abs() <= factor.tolerance * longest;
+        let certain = (0..rank).find(vanishing).unwrap_or(rank);
+        let first = first_deficient(certain, |count| self.determined(factor, count, pool))?;
+        Ok(first.map_or(certain, |count| count - 1))
+    }
+
+    fn column(&self, j: usize, kept: usize) -> &[f64] {
+        &self.block[j * self.height..j * self.height + kept]
+    }
+
+    /// Whether the training rows determine the model of the first `count` columns.
+    fn determined(&self, factor: &Factor, count: usize, pool: &Pool<'_>) -> Result<bool, Error> {
+        let mut r = vec![0.0; count * count];
+        for (j, column) in r.chunks_exact_mut(count.max(1)).enumerate() {
+            column[..=j].copy_from_slice(self.column(j, j + 1));
+        }
+        let bound = linalg::inverse_norm(&r, count).recip();
+        if count == 0 || bound > 2.0 * factor.tolerance * (count as f64).sqrt() {
+            return Ok(true);
+        }
+        let values = linalg::thin_svd(r, count, count, pool)?.s;
+        Ok(numerical_rank(&values, factor.tolerance) == count)
+    }
+
+    /// After `lead`: a response of row `i`, and the forward solves of the row and of this response's projection.
+    pub(crate) fn forward(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        i: usize,
+        response: usize,
+        leading: usize,
+    ) -> Result<(f64, &[f64], &[f64]), Error> {
+        let rank = factor.rank;
+        factor.full_rank_row(problem, i, &mut self.row)?;
+        for j in 0..leading {
+            let at = j * self.height;
+            let (known, rest) = self.row.split_at_mut(j);
+            rest[0] = (rest[0] - dot(&self.block[at..at + j], known)) / self.block[at + j];
+        }
+        let projection = self.column(rank + response, leading);
+        Ok((self.row[rank + response], &self.row[..leading], projection))
     }
 
     /// Leaves the triangle of the training rows and their right-hand sides at the top of `block`.

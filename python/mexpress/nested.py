@@ -1,0 +1,204 @@
+"""Every leading model of one design at once: model l has the first l columns.
+
+With an unpivoted factor of ``I - Q_K^T Q_K`` the predictions of all models are cumulative sums, so the whole curve of a
+criterion costs what one model does. Surfaces add one control point, which is one column, at a time.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> import numpy as np
+>>> x = np.linspace(0, 1, 40)
+>>> A, b = np.vander(x, 8, increasing=True), np.cos(9 * x)
+>>> curve = mx.cross_validate_nested(A, b, range(1, 9), {"CMPRESS": mx.schemes.leave_one_out(40)})["CMPRESS"]
+>>> int(np.argmin(curve)) + 1
+8
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _core
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.leastsquares import Problem
+from mexpress.schemes import IndexSets, Scheme, each_alone, leave_one_out
+
+__all__ = ["cross_validate_nested"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NestedFits:
+    """The fits of all models: root mean square residuals E, equation (11), and trace(H)."""
+
+    rms: Floats
+    parameters: Floats
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NestedCurve:
+    """One scheme's scores of all models, NaN where undefined, and of each pair how many of the models are defined."""
+
+    scores: Floats
+    defined: Integers
+
+
+class Nested:
+    """A least-squares problem whose leading columns are models; factorised once.
+
+    Parameters are those of `mexpress.LeastSquares`.
+    """
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        b: ArrayLike,
+        coupling: int | ArrayLike = 1,
+        weights: ArrayLike | None = None,
+        penalty: ArrayLike | None = None,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        problem = Problem.of(A, b, coupling, weights, penalty)
+        design, responses, roots, rows = problem.arrays
+        # Sums of squares must neither overflow nor vanish; a power of two changes no digit.
+        exponent = int(np.frexp(np.abs(responses).max())[1])
+        scaled = np.ldexp(responses, -exponent)
+        self._core = _core.Nested(design, scaled, roots, rows, check.threads(threads))
+        self._unit = exponent
+        self._coupling = problem.coupling
+        self._row_weights = problem.row_weights
+        self.n_rows, self.n_columns = design.shape
+        self.n_data = len(problem.coupling)
+
+    def fits(self, sizes: Integers, threads: int | None = None) -> NestedFits:
+        """Fit the models with these numbers of columns."""
+        squares, parameters, _ = self._core.fits(sizes, check.threads(threads))
+        total = self._total(np.arange(self.n_data), self._coupling)
+        return NestedFits(self._rms(squares, total), parameters)
+
+    def curves(
+        self, schemes: Mapping[str, Scheme], sizes: Integers, threads: int | None = None
+    ) -> dict[str, NestedCurve]:
+        """Cross-validate the models with these numbers of columns, increasing, by schemes over the data."""
+        return self._curves(schemes, self._coupling, sizes, threads)
+
+    def press(self, sizes: Integers, threads: int | None = None) -> NestedCurve:
+        """Hold out every row on its own, equation (3)."""
+        alone = {"": leave_one_out(self.n_rows)}
+        return self._curves(alone, each_alone(self.n_rows), sizes, threads)[""]
+
+    def _curves(
+        self, schemes: Mapping[str, Scheme], rows: IndexSets, sizes: Integers, threads: int | None
+    ) -> dict[str, NestedCurve]:
+        listed = [(_arrays(s.held_out), _arrays(s.validated), s.visiting_order) for s in schemes.values()]
+        found = self._core.curves(listed, _arrays(rows), sizes, check.threads(threads))
+        totals = [self._total(scheme.validated.indices, rows) for scheme in schemes.values()]
+        return {
+            name: NestedCurve(self._rms(squares, total), defined)
+            for name, total, (squares, defined) in zip(schemes, totals, found, strict=True)
+        }
+
+    def _total(self, data: Integers, rows: IndexSets) -> float:
+        """Sum of the weights of data, each given by its rows."""
+        if self._row_weights is None:
+            return float(len(data))
+        return float(self._row_weights[rows.indices[rows.offsets[data]]].sum())
+
+    def _rms(self, squares: Floats, total: float) -> Floats:
+        if total == 0:
+            return np.full(len(squares), np.nan)
+        return np.ldexp(np.sqrt(squares / total), self._unit)
+
+
+def _arrays(sets: IndexSets) -> tuple[Integers, Integers]:
+    return sets.offsets, sets.indices
+
+
+def cross_validate_nested(
+    A: ArrayLike,
+    b: ArrayLike,
+    sizes: ArrayLike,
+    schemes: Mapping[str, Scheme],
+    coupling: int | ArrayLike = 1,
+    *,
+    weights: ArrayLike | None = None,
+    penalty: ArrayLike | None = None,
+    threads: int | None = None,
+) -> dict[str, Floats]:
+    """Cross-validate nested models, the first s columns of a design for every size s, by any schemes.
+
+    The same as ``LeastSquares(A[:, :s], b, ...).cross_validate(scheme).score`` for every size and scheme, for about the
+    price of the largest size alone.
+
+    Parameters
+    ----------
+    A : (m, p) array
+        Design matrix. Order the columns as the models grow.
+    b : (m,) or (m, r) array
+        Responses; r of them share the design (equation 4).
+    sizes : increasing list of int, from 1 to p
+        Numbers of columns.
+    schemes : mapping of str to Scheme
+        By names of one's own. Schemes that validate the same data are computed together and share work.
+    coupling, weights, penalty, threads : optional
+        As for `LeastSquares`; of the penalty rows a model has the same first columns.
+
+    Returns
+    -------
+    dict of str to (k,) array
+        P of every size, in the responses' unit, by the names of the schemes. NaN where the rows that a pair leaves do not
+        determine the model: from one size on, all are.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the problem, a size or a scheme is none.
+
+    Notes
+    -----
+    With M = I - Q_K^T Q_K = L L^T for all p columns, u = L^-1 q_i and v = L^-1 (Q^T b - Q_K^T b_K), model l predicts
+    ``sum_{j<=l} u_j v_j`` at row i: leading blocks of L factor leading blocks of M.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> x = np.linspace(0, 1, 200)
+    >>> noisy = np.sin(8 * x) + np.random.default_rng(0).normal(0, 0.1, 200)
+    >>> near = {"ER5": mx.schemes.exclusion_radius(x[:, None], 0.05)}
+    >>> curves = mx.cross_validate_nested(np.vander(x, 13, increasing=True), noisy, range(2, 14), near)
+    >>> range(2, 14)[int(np.nanargmin(curves["ER5"]))]
+    8
+    """
+    checked = _checked_schemes(schemes)
+    nested = Nested(A, b, coupling, weights, penalty, threads=threads)
+    kept = _checked_sizes(sizes, nested.n_columns)
+    for name, scheme in checked.items():
+        if scheme.n_data != nested.n_data:
+            rule = f"They must be over the design's {nested.n_data} data."
+            check.refuse("schemes", rule, f"a scheme {name!r} over {scheme.n_data} data")
+    return {name: curve.scores for name, curve in nested.curves(checked, kept, threads).items()}
+
+
+def _checked_schemes(schemes: Any) -> dict[str, Scheme]:
+    rule = "They must be schemes by name."
+    if not isinstance(schemes, Mapping):
+        check.refuse("schemes", rule, check.describe(schemes), TypeError)
+    for name, scheme in schemes.items():
+        if not (isinstance(name, str) and isinstance(scheme, Scheme)):
+            check.refuse("schemes", rule, check.describe({name: scheme}), TypeError)
+    return dict(schemes)
+
+
+def _checked_sizes(sizes: Any, columns: int) -> Integers:
+    rule = f"They must be one or more increasing numbers of columns, from 1 to {columns}."
+    kept = check.integers(list(sizes) if isinstance(sizes, range) else sizes, "sizes", rule)
+    if kept.size == 0 or kept[0] < 1 or kept[-1] > columns or (np.diff(kept) <= 0).any():
+        check.refuse("sizes", rule, check.describe(sizes))
+    return kept
