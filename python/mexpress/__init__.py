@@ -11,23 +11,33 @@ CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
 from importlib.metadata import version
 
 from mexpress import criteria, schemes
-from mexpress.designs import fit_warp
+from mexpress.clouds import Cloud, read_cloud
+from mexpress.designs import fit_surface, fit_warp
 from mexpress.files import load
 from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning
-from mexpress.selection import Selection, WarpSelection, select_warp
+from mexpress.nested import cross_validate_nested
+from mexpress.selection import Selection, SurfaceSelection, WarpSelection, select_surface, select_warp
+from mexpress.surfaces import Surface
 from mexpress.warps import Warp
 
 __all__ = [
+    "Cloud",
     "CrossValidation",
     "LeastSquares",
     "RankLossWarning",
     "Selection",
+    "Surface",
+    "SurfaceSelection",
     "Warp",
     "WarpSelection",
     "criteria",
+    "cross_validate_nested",
+    "fit_surface",
     "fit_warp",
     "load",
+    "read_cloud",
     "schemes",
+    "select_surface",
     "select_warp",
 ]
 

@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from typing import TypeAlias, final
 
 import numpy as np
@@ -8,9 +9,11 @@ _Integers: TypeAlias = NDArray[np.int64]
 _Sets: TypeAlias = tuple[_Integers, _Integers]
 
 __all__ = [
+    "Around",
     "Factor",
     "Nested",
     "along_curve",
+    "arrival",
     "find_not_finite",
     "lloyd",
     "neighbours_delaunay",
@@ -51,10 +54,24 @@ class Nested:
         penalty: _Floats,
         threads: int,
     ) -> Nested: ...
+    def coefficients(self, size: int) -> _Floats: ...
     def fits(self, sizes: _Integers, threads: int) -> tuple[_Floats, _Floats, _Integers]: ...
     def curves(
-        self, schemes: list[tuple[_Sets, _Sets, _Integers]], rows: _Sets, sizes: _Integers, threads: int
+        self,
+        schemes: Sequence[tuple[tuple[_Sets, _Sets] | Around, _Integers]],
+        rows: _Sets,
+        sizes: _Integers,
+        threads: int,
     ) -> list[tuple[_Floats, _Integers]]: ...
+
+@final
+class Around:
+    @staticmethod
+    def within(points: _Floats, radius: float) -> Around: ...
+    @staticmethod
+    def nearest(points: _Floats, k: int) -> Around: ...
+    @property
+    def mean(self) -> float: ...
 
 def find_not_finite(values: _Floats) -> tuple[int, int] | None: ...
 def along_curve(points: _Floats) -> _Integers: ...
@@ -62,3 +79,11 @@ def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ..
 def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...
 def neighbours_delaunay(points: _Floats) -> _Sets: ...
 def lloyd(samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int) -> _Floats: ...
+def arrival(
+    points: _Floats,
+    values: _Floats,
+    first: tuple[int, int, int],
+    max_count: int,
+    min_distance: float,
+    threads: int,
+) -> _Integers: ...

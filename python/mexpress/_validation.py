@@ -219,6 +219,20 @@ def image_size(value: Any) -> tuple[float, float] | None:
     )
 
 
+def intrinsics(value: Any) -> tuple[float, float, float, float] | None:
+    """(fx, fy, cx, cy) of a camera in pixels, or None."""
+    if value is None:
+        return None
+    rule = "They must be (fx, fy, cx, cy) in pixels, the focal lengths fx and fy positive."
+    try:
+        fx, fy, cx, cy = value
+    except (TypeError, ValueError):
+        refuse("intrinsics", rule, describe(value), TypeError)
+    fx, fy = (number(focal, "intrinsics", rule, 0.0, strict=True) for focal in (fx, fy))
+    cx, cy = (number(centre, "intrinsics", rule, -math.inf) for centre in (cx, cy))
+    return fx, fy, cx, cy
+
+
 def threads(value: Any) -> int:
     """Number of threads: the argument, else MEXPRESS_NUM_THREADS, else what the process may use."""
     if value is not None:

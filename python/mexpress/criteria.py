@@ -27,8 +27,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -37,9 +37,11 @@ from mexpress import schemes
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.nested import Nested, NestedCurve
-from mexpress.schemes import IndexSets, Scheme, each_alone
+from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone
 
 __all__ = ["Criterion", "Judge", "Score", "parse"]
+
+Made = TypeVar("Made")
 
 LEAVE_P_OUT_SETS = 1000
 RANDOM_REPEATS = 100
@@ -94,6 +96,14 @@ SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
 }
 
 
+NEIGHBOURHOODS: dict[str, Callable[[float, Data], Neighbourhoods]] = {
+    "ER": lambda percent, data: Neighbourhoods.within(data.points, percent / 100 * data.diagonal),
+    "NN..PTS": lambda k, data: Neighbourhoods.nearest(data.points, int(k)),
+    "NN..PCT": lambda percent, data: Neighbourhoods.nearest(data.points, _share(percent, len(data.points))),
+}
+"""Of the schemes above, those that need not be listed."""
+
+
 @dataclass(frozen=True)
 class Fit:
     """What information criteria look at: E, trace(H), and how many rows and data there are."""
@@ -106,22 +116,28 @@ class Fit:
     @property
     def log_rss(self) -> float:
         """ln(RSS / m), counting measurements: with several to a datum, each is one piece of evidence."""
-        mean_square = self.rms**2 * self.n_data / self.n_rows
-        return math.log(mean_square) if mean_square > 0 else -math.inf
+        if self.rms == 0:
+            return -math.inf
+        return 2 * math.log(self.rms) + math.log(self.n_data / self.n_rows)
+
+    @property
+    def free(self) -> float:
+        """Share of the rows that the parameters leave free; NaN if none, for then the residuals are rounding."""
+        share = 1 - self.parameters / self.n_rows
+        return share if share > 1e-12 else math.nan
 
 
 def _aic(fit: Fit) -> float:
-    return fit.n_rows * fit.log_rss + 2 * fit.parameters
+    return fit.n_rows * fit.log_rss + 2 * fit.parameters if fit.free > 0 else math.nan
 
 
 def _bic(fit: Fit) -> float:
-    return fit.n_rows * fit.log_rss + math.log(fit.n_rows) * fit.parameters
+    return fit.n_rows * fit.log_rss + math.log(fit.n_rows) * fit.parameters if fit.free > 0 else math.nan
 
 
 def _gcv(fit: Fit) -> float:
     """Its root, so that it stands beside the prediction errors."""
-    free = 1 - fit.parameters / fit.n_rows
-    return fit.rms / free if free > 1e-12 else math.nan
+    return fit.rms / fit.free
 
 
 FORMULAS: dict[str, Callable[[Fit], float]] = {
@@ -215,6 +231,8 @@ class Judge:
         By name; None for a scheme that the user gave.
     schemes : dict of str to Scheme
         Of those criteria that have one.
+    neighbourhoods : dict of str to Neighbourhoods
+        In their place for nested models, see `of`.
 
     Examples
     --------
@@ -226,6 +244,7 @@ class Judge:
 
     criteria: dict[str, Criterion | None]
     schemes: dict[str, Scheme]
+    neighbourhoods: dict[str, Neighbourhoods] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -235,6 +254,7 @@ class Judge:
         diagonal: float | None = None,
         seed: Any = 0,
         threads: int | None = None,
+        nested: bool = False,
     ) -> Judge:
         """Build the schemes that criteria need.
 
@@ -250,6 +270,8 @@ class Judge:
             Of the random schemes.
         threads : int, optional
             At most so many threads.
+        nested : bool, default False
+            Whether it is for nested models, which need no list of who is near whom.
 
         Raises
         ------
@@ -268,6 +290,9 @@ class Judge:
             for name, scheme in criteria.items():
                 if not (isinstance(name, str) and isinstance(scheme, Scheme)):
                     check.refuse("criteria", rule, check.describe({name: scheme}), TypeError)
+                if scheme.n_data != len(points):
+                    of_these = f"Its schemes must be over the {len(points)} data."
+                    check.refuse("criteria", of_these, f"{name!r} over {scheme.n_data} data")
                 if _find(name) is not None:
                     own = "A scheme of one's own must not have the name of a criterion."
                     check.refuse("criteria", own, check.describe(name))
@@ -276,8 +301,17 @@ class Judge:
         check.generator(seed)
         data = Data(points, whole, seed, check.threads(threads))
         parsed = {c.name: c for c in map(parse, check.items(criteria, "criteria", rule))}
-        made = {c.name: _scheme(c, data) for c in parsed.values() if c.family in SCHEMES}
-        return cls(dict(parsed), made)
+        lazy = NEIGHBOURHOODS if nested else {}
+        near = {c.name: _made(lazy, c, data) for c in parsed.values() if c.family in lazy}
+        rest = {name: c for name, c in parsed.items() if c.family in SCHEMES and name not in near}
+        return cls(dict(parsed), {name: _made(SCHEMES, c, data) for name, c in rest.items()}, near)
+
+    def __or__(self, other: Judge) -> Judge:
+        return Judge(
+            self.criteria | other.criteria,
+            self.schemes | other.schemes,
+            self.neighbourhoods | other.neighbourhoods,
+        )
 
     def __repr__(self) -> str:
         return f"Judge({', '.join(self.criteria)})"
@@ -324,7 +358,13 @@ class Judge:
                 scores[name] = _press(model, threads)
         return scores
 
-    def curves(self, nested: Nested, sizes: Integers, threads: int | None = None) -> dict[str, list[Score]]:
+    def curves(
+        self,
+        nested: Nested,
+        sizes: Integers,
+        threads: int | None = None,
+        step: Callable[[], None] | None = None,
+    ) -> dict[str, list[Score]]:
         """Every criterion's score of every model of a nested design, in one sweep.
 
         Parameters
@@ -335,6 +375,8 @@ class Judge:
             The models' numbers of columns, increasing.
         threads : int, optional
             At most so many threads.
+        step : callable, optional
+            Called now and then, as often as `mexpress.nested.steps` says.
 
         Returns
         -------
@@ -352,11 +394,14 @@ class Judge:
         [2.449, 0.0]
         """
         fits = nested.fits(sizes, threads)
-        found = nested.curves(self.schemes, sizes, threads)
+        found = nested.curves({**self.schemes, **self.neighbourhoods}, sizes, threads, step)
+        alone = each_alone(nested.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in found:
-                scores[name] = _scored(found[name], self.schemes[name].validated)
+                scores[name] = _scored(
+                    found[name], self.schemes[name].validated if name in self.schemes else alone
+                )
             elif criterion is not None and criterion.family in FORMULAS:
                 formula = FORMULAS[criterion.family]
                 each = zip(fits.rms, fits.parameters, strict=True)
@@ -364,6 +409,10 @@ class Judge:
                 scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
             else:
                 scores[name] = _scored(nested.press(sizes, threads), each_alone(nested.n_rows))
+        # As in `scores`: nothing is said of models that the data do not determine.
+        for k in np.flatnonzero(fits.rank < sizes):
+            for curve in scores.values():
+                curve[k] = Score(math.nan, np.arange(nested.n_data))
         return scores
 
 
@@ -382,9 +431,9 @@ def _press(model: LeastSquares, threads: int | None) -> Score:
     return Score(value, np.unique(datum_of_row(model)[rows]))
 
 
-def _scheme(criterion: Criterion, data: Data) -> Scheme:
+def _made(builders: Mapping[str, Callable[[float, Data], Made]], criterion: Criterion, data: Data) -> Made:
     try:
-        return SCHEMES[criterion.family](criterion.amount, data)
+        return builders[criterion.family](criterion.amount, data)
     except (ValueError, OverflowError) as error:  # the number in a name may have any number of digits
         said = re.fullmatch(r"Invalid (\w+)\. (.*) Given (.*)\.", str(error))
         unsaid = "the number", "It must suit the data.", f"{len(data.points)} data"

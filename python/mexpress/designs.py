@@ -1,4 +1,4 @@
-"""The fit of a warp to matches as a linear least-squares problem: from a lifting to a design, and back to a warp.
+"""Fits of warps and surfaces as linear least-squares problems: from control points to a design, and back.
 
 Examples
 --------
@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.leastsquares import LeastSquares
-from mexpress.liftings import Lifting, make_lifting
+from mexpress.liftings import Lifting, ThinPlateSpline, make_lifting, nested_basis, nested_bending
 from mexpress.placement import covered_region
+from mexpress.surfaces import Surface
 from mexpress.warps import Warp
 
-__all__ = ["WarpDesign", "fit_warp", "warp_design"]
+__all__ = ["SurfaceDesign", "WarpDesign", "fit_surface", "fit_warp", "surface_design", "warp_design"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,6 +240,162 @@ def fit_warp(
     return design.warp(model.coefficients)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfaceDesign:
+    """The linear least-squares problems whose solutions are surfaces: minimise ||b - A x||.
+
+    The first k columns of A make the surface with the first k control points, so that all can be fitted and
+    judged at once.
+
+    Attributes
+    ----------
+    A : ndarray, (n, l)
+        Design matrix, the nested basis at the data.
+    b : ndarray, (n,) or (n, d)
+        Values at the data.
+    coupling : int
+        Rows of A per datum: 1.
+    control_points : ndarray, (l, 2)
+        In the order of the columns.
+    domain : ndarray, (k, 2)
+        Convex hull of the data.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> design = surface_design(square, [0, 2, 2, 4], square)
+    >>> model = mx.LeastSquares(design.A[:, :3], design.b, coupling=design.coupling)
+    >>> design.surface(model.coefficients, 3)
+    Surface(depth, 3 control points)
+    """
+
+    A: Floats
+    b: Floats
+    coupling: int
+    control_points: Floats
+    domain: Floats
+
+    def __repr__(self) -> str:
+        return f"SurfaceDesign({self.A.shape[0]} x {self.A.shape[1]})"
+
+    def surface(self, coefficients: ArrayLike, count: int) -> Surface:
+        """Return the surface of a solution x.
+
+        Parameters
+        ----------
+        coefficients : array_like, (count,) or (count, d)
+            Unknowns of the first columns of A; those of later columns are taken as 0.
+        count : int
+            Number of control points.
+
+        Examples
+        --------
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> design = surface_design(square, [0, 2, 2, 5], square)
+        >>> design.surface([0, 2, 2], 3)([[1, 1]]).round(6)
+        array([2.])
+        """
+        centres = self.control_points[:count]
+        x = np.asarray(coefficients, dtype=np.float64)[:count]
+        return Surface(centres, nested_basis(centres, centres) @ x, self.domain)
+
+    def bending(self) -> Floats:
+        """Return the rows Z whose squared norm ||Z x||^2 is the bending energy of the surface.
+
+        Of one value, so rows apply to every response. The surface with k control points has the first k - 3
+        rows, of which only k columns are not 0.
+
+        Returns
+        -------
+        ndarray, (l - 3, l)
+            In the unit of the values per unit of the points.
+
+        Examples
+        --------
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> surface_design(square, [0, 2, 2, 4], square).bending().shape
+        (1, 4)
+        """
+        return nested_bending(self.control_points)
+
+
+def surface_design(points: ArrayLike, values: ArrayLike, control_points: ArrayLike) -> SurfaceDesign:
+    """Write the fit of surfaces to data as nested linear least-squares problems.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Positions of the data.
+    values : array_like, (n,) or (n, d)
+        Depths, or points in space, at these positions.
+    control_points : array_like, (l, 2)
+        In the order in which they are added; the first three are not on a line, and best far apart.
+
+    Returns
+    -------
+    SurfaceDesign
+        Of which the first k columns are the problem with the first k control points.
+
+    Raises
+    ------
+    ValueError
+        If the data are not n positions with a value each, all finite, if the positions are on a line, or if
+        the control points are too few, nearly coincide or begin on a line.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> surface_design(square, [0, 2, 2, 4], square)
+    SurfaceDesign(4 x 4)
+    """
+    points, values, domain = measured_data(points, values)
+    control_points = check.points(control_points, "control_points")
+    return SurfaceDesign(nested_basis(points, control_points), values, 1, control_points, domain)
+
+
+def fit_surface(points: ArrayLike, values: ArrayLike, control_points: ArrayLike) -> Surface:
+    """Fit a surface with given control points to data, by least squares.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Positions of the data: pixels of a depth map, or the coordinates of a template.
+    values : array_like, (n,) or (n, d)
+        Depths, or points in space, at these positions.
+    control_points : array_like, (l, 2)
+        In the unit of the positions, 3 or more, in any order. With three the surface is a plane.
+
+    Returns
+    -------
+    Surface
+        A thin-plate spline with values of the shape of one datum's.
+
+    Raises
+    ------
+    ValueError
+        If the input is not n data and l distinct control points that are not on a line, or if the data do
+        not determine the surface: they are too few, or none is near some control point.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> surface = fit_surface(square, [0, 2, 2, 5], square)
+    >>> surface
+    Surface(depth, 4 control points)
+    >>> surface([[2, 2], [1, 1]]).round(6)
+    array([5.  , 2.25])
+    """
+    points, values, domain = measured_data(points, values)
+    spline = ThinPlateSpline(check.points(control_points, "control_points"))
+    model = LeastSquares(spline.basis(points), values)
+    count = len(spline.control_points)
+    if model.rank < count:
+        rule = "The data must determine the surface, so take fewer control points."
+        check.refuse("control_points", rule, f"{count} and {len(points)} data of rank {model.rank}")
+    return Surface(spline.control_points, model.coefficients, domain)
+
+
 def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
     """Return matched points as arrays, checked to be as many."""
     source, target = check.points(source, "source"), check.points(target, "target")
@@ -246,6 +403,13 @@ def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:
         rule = "It must have one point per source point."
         check.refuse("target", rule, f"{len(target)} for {len(source)}")
     return source, target
+
+
+def measured_data(points: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    """Return data as arrays, checked to be as many, and the region that they cover."""
+    points = check.points(points, "points")
+    values = check.columns(values, "values", len(points))
+    return points, values, covered_region(points)
 
 
 def _ones_complement(count: int) -> Floats:

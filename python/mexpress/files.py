@@ -2,21 +2,22 @@
 
 Examples
 --------
->>> import mexpress.warps
->>> list(mexpress.files.KINDS)
-['warp']
+>>> import mexpress.files
+>>> sorted(mexpress.files.KINDS)
+['surface', 'warp']
 """
 
 import os
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any, BinaryIO, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KINDS", "Storable", "load", "save", "storable"]
+__all__ = ["KINDS", "Storable", "load", "replacing", "save", "storable"]
 
 FORMAT = "mexpress model"
 VERSION = 1
@@ -95,12 +96,34 @@ def save(model: Storable, path: str | os.PathLike[str]) -> None:
     """
     if KINDS.get(getattr(model, "kind", "")) is not type(model):
         raise TypeError(f"Invalid model. It must be one of {_class_names()}. Given {type(model).__name__}.")
-    path = Path(path)
     header = {"format": np.array(FORMAT), "version": np.array(VERSION), "kind": np.array(model.kind)}
+    with replacing(path) as file:  # by name, np.savez would append .npz to it
+        np.savez(file, allow_pickle=False, **header, **model.to_arrays())
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a file for writing that takes its name, and an older file's place, once it is complete.
+
+    Parameters
+    ----------
+    path : str or path
+        Name of the file, taken as it is. After an error an older file of this name is untouched.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with replacing(f"{folder}/a.txt") as file:
+    ...         count = file.write(b"all of it")
+    ...     Path(f"{folder}/a.txt").read_text()
+    'all of it'
+    """
+    path = Path(path)
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
-        with part.open("xb") as file:  # by name, np.savez would append .npz to it
-            np.savez(file, allow_pickle=False, **header, **model.to_arrays())
+        with part.open("xb") as file:
+            yield file
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

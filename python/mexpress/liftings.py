@@ -19,19 +19,25 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.placement import NEAR_LINE, thinness
+from mexpress.placement import COINCIDENT, NEAR_LINE, thinness
 
-__all__ = ["LIFTINGS", "Lifting", "ThinPlateSpline", "evaluate", "make_lifting", "slopes"]
-
-COINCIDENT = 1e-5
-"""Control points coincide when they are nearer than this fraction of the largest distance to their mean."""
+__all__ = [
+    "LIFTINGS",
+    "Lifting",
+    "ThinPlateSpline",
+    "evaluate",
+    "make_lifting",
+    "nested_basis",
+    "nested_bending",
+    "slopes",
+]
 
 _CHUNK = 1 << 14
 """Numbers in one block of a temporary array, 128 KiB: blocks that stay in cache are also the fastest."""
 
 
 class Lifting(Protocol):
-    """What a warp asks of a lifting with l control points.
+    """What a warp asks of a lifting with l control points: nu(q) = terms(q) @ expansion.
 
     Examples
     --------
@@ -54,6 +60,16 @@ class Lifting(Protocol):
 
     def bending(self) -> Floats:
         """Return Z, (k, l), with ||Z x||^2 the bending energy of nu . x."""
+
+    @property
+    def expansion(self) -> Floats:
+        """Weights of the t terms in the l functions, (t, l)."""
+
+    def terms(self, points: Floats) -> Floats:
+        """Return the terms at n points, (n, t)."""
+
+    def term_slopes(self, points: Floats) -> Floats:
+        """Return the derivatives of the terms along x and y at n points, (2, n, t)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,7 +116,6 @@ class ThinPlateSpline:
     def __repr__(self) -> str:
         return f"ThinPlateSpline({len(self.control_points)} control points)"
 
-    @np.errstate(over="ignore", invalid="ignore")
     def basis(self, points: ArrayLike) -> Floats:
         """Return the l cardinal functions at n points.
 
@@ -119,13 +134,8 @@ class ThinPlateSpline:
         >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
         array([[0. , 0.5, 0.5]])
         """
-        points = check.points(points, "points")
-        functions = np.empty((len(points), len(self.control_points)))
-        for rows in _blocks(len(points), len(self.control_points)):
-            functions[rows] = self._kernel_and_affine(points[rows]) @ self._cardinal
-        return functions
+        return evaluate(self, check.points(points, "points"), np.eye(len(self.control_points)))
 
-    @np.errstate(over="ignore", invalid="ignore")
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the l cardinal functions at n points.
 
@@ -147,15 +157,7 @@ class ThinPlateSpline:
                 [ 0.5,  0. ],
                 [ 0. ,  0.5]]])
         """
-        points = check.points(points, "points")
-        slopes = np.empty((len(points), len(self.control_points), 2))
-        for rows in _blocks(len(points), len(self.control_points)):
-            x, y = _offsets(self._normalised(points[rows]), self._normalised(self.control_points))
-            radial = 1 + np.log(np.maximum(x**2 + y**2, np.finfo(float).tiny))
-            for b, offset in enumerate((x, y)):
-                slope = (radial * offset) @ self._cardinal[:-3] + self._cardinal[b - 3]
-                slopes[rows, :, b] = slope / self._scale
-        return slopes
+        return slopes(self, check.points(points, "points"), np.eye(len(self.control_points)))
 
     def bending(self) -> Floats:
         """Return the rows Z whose squared norm is the bending energy.
@@ -178,6 +180,48 @@ class ThinPlateSpline:
         """
         return self._solution[1] / self._scale
 
+    @property
+    def expansion(self) -> Floats:
+        """Weights w and affine part a of every cardinal function, (l + 3, l).
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).expansion.shape
+        (6, 3)
+        """
+        return self._solution[0]
+
+    def terms(self, points: Floats) -> Floats:
+        """Return phi(|q - c_k|), x, y and 1 at n points, in normalised coordinates, (n, l + 3).
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).terms(np.array([[1.0, 1.0]])).shape
+        (1, 6)
+        """
+        here, centres = self._normalised(points), self._normalised(self.control_points)
+        terms = np.empty((len(points), len(centres) + 3))
+        terms[:, :-3] = _kernel(here, centres)
+        terms[:, -3:-1] = here
+        terms[:, -1] = 1
+        return terms
+
+    def term_slopes(self, points: Floats) -> Floats:
+        """Return the derivatives of the terms along x and y, per unit of the points, (2, n, l + 3).
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).term_slopes(np.array([[1.0, 1.0]])).shape
+        (2, 1, 6)
+        """
+        offsets = _offsets(self._normalised(points), self._normalised(self.control_points))
+        radial = 1 + np.log(np.maximum(offsets[0] ** 2 + offsets[1] ** 2, np.finfo(float).tiny))
+        terms = np.zeros((2, len(points), len(self.control_points) + 3))
+        for b in range(2):
+            terms[b, :, :-3] = radial * offsets[b]
+            terms[b, :, b - 3] = 1
+        return np.asarray(terms / self._scale)
+
     @cached_property
     def _centre(self) -> Floats:
         return np.asarray(self.control_points.mean(axis=0))
@@ -191,15 +235,6 @@ class ThinPlateSpline:
         # functions are the same, and coordinates of thousands of pixels lose no digits.
         return np.asarray((points - self._centre) / self._scale)
 
-    def _kernel_and_affine(self, points: Floats) -> Floats:
-        """Return (phi_1 .. phi_l, x, y, 1), (n, l + 3), in normalised coordinates."""
-        here, centres = self._normalised(points), self._normalised(self.control_points)
-        terms = np.empty((len(points), len(centres) + 3))
-        terms[:, :-3] = _kernel(here, centres)
-        terms[:, -3:-1] = here
-        terms[:, -1] = 1
-        return terms
-
     @cached_property
     def _solution(self) -> tuple[Floats, Floats]:
         """Return the cardinal functions' weights and affine parts, and the bending rows.
@@ -207,7 +242,7 @@ class ThinPlateSpline:
         With U an orthonormal basis of {w : sum_k w_k (1, c_k) = 0}, G = U^T K U is positive definite, w = E x
         with E = U G^-1 U^T, and the affine part interpolates what K w leaves: a = P^+ (x - K E x).
         """
-        terms = self._kernel_and_affine(self.control_points)
+        terms = self.terms(self.control_points)
         kernel, affine = terms[:, :-3], terms[:, -3:]
         side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
         factor = np.linalg.cholesky(side.T @ kernel @ side)
@@ -215,10 +250,6 @@ class ThinPlateSpline:
         weights = bending.T @ bending
         remainder = np.eye(len(kernel)) - kernel @ weights
         return np.vstack([weights, np.linalg.pinv(affine) @ remainder]), bending
-
-    @property
-    def _cardinal(self) -> Floats:
-        return self._solution[0]
 
 
 LIFTINGS: dict[str, Callable[[Floats], Lifting]] = {ThinPlateSpline.name: ThinPlateSpline}
@@ -243,6 +274,7 @@ def make_lifting(name: str, control_points: ArrayLike) -> Lifting:
     return LIFTINGS[name](check.points(control_points, "control_points"))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def evaluate(lifting: Lifting, points: Floats, parameters: Floats) -> Floats:
     """Return nu(q_i) . x for every column x of the parameters.
 
@@ -266,12 +298,14 @@ def evaluate(lifting: Lifting, points: Floats, parameters: Floats) -> Floats:
     >>> evaluate(plane, np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
     array([[4.]])
     """
+    weights = lifting.expansion @ parameters
     values = np.empty((len(points), parameters.shape[1]))
-    for rows in _blocks(len(points), len(parameters)):
-        values[rows] = lifting.basis(points[rows]) @ parameters
+    for rows in _blocks(len(points), len(weights)):
+        values[rows] = lifting.terms(points[rows]) @ weights
     return values
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def slopes(lifting: Lifting, points: Floats, parameters: Floats) -> Floats:
     """Return the derivatives of nu(q) . x, for every column x of the parameters.
 
@@ -295,12 +329,106 @@ def slopes(lifting: Lifting, points: Floats, parameters: Floats) -> Floats:
     >>> slopes(plane, np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
     array([[[1., 2.]]])
     """
+    weights = lifting.expansion @ parameters
     values = np.empty((len(points), parameters.shape[1], 2))
-    for rows in _blocks(len(points), len(parameters)):
-        derivatives = lifting.derivatives(points[rows])
-        for b in range(2):  # plain products are five times faster than one of stacked matrices
-            values[rows, :, b] = derivatives[:, :, b] @ parameters
+    for rows in _blocks(len(points), len(weights)):
+        for b, terms in enumerate(lifting.term_slopes(points[rows])):
+            values[rows, :, b] = terms @ weights
     return values
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def nested_basis(points: ArrayLike, control_points: ArrayLike) -> Floats:
+    """Return functions of which the first k span the thin-plate splines of the first k control points.
+
+    The first three are the barycentric coordinates with respect to the first three control points. Function
+    k > 3 is phi(|q - c_k|) minus its barycentric combination of the kernels of these three, in coordinates
+    where they are about one apart: a function does not change with the control points after its own.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Positions, in the unit of the control points.
+    control_points : array_like, (l, 2)
+        As for `ThinPlateSpline`. The farther apart the first three are, the fewer digits are lost.
+
+    Returns
+    -------
+    ndarray, (n, l)
+        Row i holds the functions at q_i.
+
+    Raises
+    ------
+    ValueError
+        If the control points suit no thin-plate spline, or the first three are on a line.
+
+    Examples
+    --------
+    >>> corners = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> nested_basis([[1, 1], [2, 2]], corners).round(6) + 0.0
+    array([[ 0.      ,  0.5     ,  0.5     ,  0.      ],
+           [-1.      ,  1.      ,  1.      ,  0.693147]])
+    """
+    points, origin, scale, centres, shares = check.points(points, "points"), *_nested_frame(control_points)
+    functions = np.empty((len(points), len(centres)))
+    for rows in _blocks(len(points), len(centres)):
+        here = (points[rows] - origin) / scale
+        kernel = _kernel(here, centres)
+        functions[rows, :3] = _barycentric(here, centres)
+        functions[rows, 3:] = kernel[:, 3:]
+        for i in range(3):
+            functions[rows, 3:] -= np.outer(kernel[:, i], shares[3:, i])
+    return functions
+
+
+def nested_bending(control_points: ArrayLike) -> Floats:
+    """Return the rows Z whose squared norm is the bending energy, of every leading part of `nested_basis`.
+
+    The energy of the k-th leading model is ||Z[:k - 3, :k] x||^2, in the unit of `ThinPlateSpline.bending`.
+
+    Parameters
+    ----------
+    control_points : array_like, (l, 2)
+        As for `nested_basis`.
+
+    Returns
+    -------
+    ndarray, (l - 3, l)
+        Zeros for the affine functions, then an upper triangle.
+
+    Examples
+    --------
+    >>> energy = nested_bending([[0, 0], [2, 0], [0, 2], [2, 2]]) @ [5, 5, 5, 1]
+    >>> (energy @ energy).round(6)
+    np.float64(0.693147)
+    """
+    _, scale, centres, shares = _nested_frame(control_points)
+    weights = np.vstack([-shares[3:].T, np.eye(len(centres) - 3)])
+    side, triangle = np.linalg.qr(weights)
+    factor = np.linalg.cholesky(side.T @ _kernel(centres, centres) @ side)
+    rows = np.zeros((len(centres) - 3, len(centres)))
+    rows[:, 3:] = factor.T @ triangle / scale
+    return rows
+
+
+def _nested_frame(control_points: ArrayLike) -> tuple[Floats, float, Floats, Floats]:
+    """Return origin, unit, and the control points in this frame, with their barycentric coordinates."""
+    points = check.points(control_points, "control_points")
+    _check_spread(points)
+    if thinness(points[:3]) <= NEAR_LINE:
+        rule = f"The first three must not lie on a line, to within {NEAR_LINE:g} of their extent."
+        check.refuse("control_points", rule, f"{points[:3].tolist()}")
+    origin = points[0]
+    scale = float(np.hypot(*(points[1:3] - origin).T).max())
+    centres = (points - origin) / scale
+    return origin, scale, centres, _barycentric(centres, centres)
+
+
+def _barycentric(points: Floats, centres: Floats) -> Floats:
+    """Return barycentric coordinates with respect to the first three centres, of which the first is 0."""
+    (x, y), (a, b), (c, d) = points.T, *centres[1:3]
+    second, third = (d * x - c * y) / (a * d - b * c), (a * y - b * x) / (a * d - b * c)
+    return np.column_stack([1 - second - third, second, third])
 
 
 def _blocks(n: int, width: int) -> Iterator[slice]:

@@ -9,8 +9,7 @@ x,y
 """
 
 import os
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -19,14 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.tables import ARCHIVES, read_arrays, read_text
 
 __all__ = ["read_matches", "read_points", "write_matches", "write_points_csv"]
 
 MATCH_COLUMNS = ("x1", "y1", "x2", "y2")
 POINT_COLUMNS = ("x", "y")
-
-_NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
-_ARRAYS = {".npy", ".npz"}
 
 Path_ = str | os.PathLike[str]
 
@@ -65,10 +62,10 @@ def read_matches(path: Path_) -> tuple[Floats, Floats]:
            [12. , 13.5]])
     """
     path = Path(path)
-    if path.suffix.lower() not in _ARRAYS:
-        table = _read_text(path, "matches", MATCH_COLUMNS)
+    if path.suffix.lower() not in ARCHIVES:
+        table = read_text(path, "matches", [MATCH_COLUMNS])
         return table[:, :2].copy(), table[:, 2:].copy()
-    arrays = _read_arrays(path, "matches")
+    arrays = read_arrays(path, "matches")
     if {"source", "target"} <= arrays.keys():
         source, target = (check.points(arrays[name], name) for name in ("source", "target"))
         if len(source) != len(target):
@@ -113,9 +110,9 @@ def read_points(path: Path_) -> Floats:
            [3. , 4.5]])
     """
     path = Path(path)
-    if path.suffix.lower() not in _ARRAYS:
-        return _read_text(path, "points", POINT_COLUMNS)
-    arrays = _read_arrays(path, "points")
+    if path.suffix.lower() not in ARCHIVES:
+        return read_text(path, "points", [POINT_COLUMNS])
+    arrays = read_arrays(path, "points")
     rule = f"{path.name} must hold one (n, 2) array (among several: points)."
     return check.points(_the_array(arrays, ("points",), 2, rule), "points")
 
@@ -170,70 +167,6 @@ def write_rows(file: TextIO, columns: Sequence[str], rows: Iterable[Sequence[obj
     """Write a header and rows, comma-separated."""
     file.write(",".join(columns) + "\n")
     file.writelines(",".join(map(str, row)) + "\n" for row in rows)
-
-
-def _read_text(path: Path, name: str, columns: Sequence[str]) -> Floats:
-    rows = list(_cells(path, name))
-    if not rows:
-        check.refuse(name, "The file must have at least one line of numbers.", f"{path.name}, which has none")
-    header, width, chosen = _layout(rows[0][1], columns)
-    if header and len(rows) == 1:
-        check.refuse(name, "The file must have numbers below its header.", f"{path.name}, which has none")
-    table = np.empty((len(rows) - header, len(columns)))
-    for row, (line, cells) in zip(table, rows[header:], strict=True):
-        place = f"line {line} of {path.name}"
-        if len(cells) != width:
-            rule = f"A line must have {width} columns ({', '.join(columns)})."
-            check.refuse(name, rule, f"{len(cells)} in {place}")
-        row[:] = [_value(cells[column], name, place) for column in chosen]
-    return table
-
-
-def _cells(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield line numbers and cells of the lines that hold something; the first decides on the separator."""
-    separator: str | None = None
-    first = True
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            for number, text in enumerate(file, start=1):
-                line = text.strip()
-                if not line or line.startswith("#"):
-                    continue
-                if first:
-                    separator = next((s for s in (";", "\t", ",") if s in line), None)
-                    first = False
-                yield number, [cell.strip().strip("\"'") for cell in line.split(separator)]
-    except UnicodeDecodeError:
-        check.refuse(name, "The file must be text, .npz or .npy.", f"{path.name}, which is not text")
-
-
-def _layout(first: Sequence[str], columns: Sequence[str]) -> tuple[bool, int, list[int]]:
-    """Tell whether there is a header, how many columns there are, and which ones to take."""
-    if any(_NUMBER.fullmatch(cell) for cell in first):
-        return False, len(columns), list(range(len(columns)))
-    names = [cell.lower() for cell in first]
-    if set(columns) <= set(names):
-        return True, len(names), [names.index(column) for column in columns]
-    return True, len(columns), list(range(len(columns)))
-
-
-def _value(cell: str, name: str, place: str) -> float:
-    # Not float's own grammar: it reads 1_000, and digits of any script.
-    number = float(cell) if _NUMBER.fullmatch(cell) else None
-    if number is None or not np.isfinite(number):
-        check.refuse(name, "Cells must be finite numbers.", f"{cell!r} in {place}")
-    return number
-
-
-def _read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
-    with path.open("rb") as file:
-        try:
-            loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return {name: loaded}
-            return {key: loaded[key] for key in loaded.files}
-        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
-            check.refuse(name, "The file must hold arrays of numbers.", f"{path.name}: {error}")
 
 
 def _the_array(arrays: dict[str, NDArray[Any]], known: Sequence[str], width: int, rule: str) -> NDArray[Any]:

@@ -16,7 +16,7 @@ Examples
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,17 +27,21 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares import Problem
-from mexpress.schemes import IndexSets, Scheme, each_alone, leave_one_out
+from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone, leave_one_out
 
 __all__ = ["cross_validate_nested"]
+
+_BLOCK = 2048
+"""Neighbourhoods in one call of the core: progress shows between calls."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NestedFits:
-    """The fits of all models: root mean square residuals E, equation (11), and trace(H)."""
+    """The fits of all models: root mean square residuals E, equation (11), trace(H), and rank."""
 
     rms: Floats
     parameters: Floats
+    rank: Integers
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,38 +75,82 @@ class Nested:
         scaled = np.ldexp(responses, -exponent)
         self._core = _core.Nested(design, scaled, roots, rows, check.threads(threads))
         self._unit = exponent
+        self._flat = problem.responses.ndim == 1
         self._coupling = problem.coupling
         self._row_weights = problem.row_weights
         self.n_rows, self.n_columns = design.shape
         self.n_data = len(problem.coupling)
 
+    def coefficients(self, size: int) -> Floats:
+        """Solve for the model of the first columns: x, (size,) or (size, r)."""
+        x = np.ldexp(np.ascontiguousarray(self._core.coefficients(size)), self._unit)
+        return x[:, 0] if self._flat else x
+
     def fits(self, sizes: Integers, threads: int | None = None) -> NestedFits:
         """Fit the models with these numbers of columns."""
-        squares, parameters, _ = self._core.fits(sizes, check.threads(threads))
+        squares, parameters, rank = self._core.fits(sizes, check.threads(threads))
         total = self._total(np.arange(self.n_data), self._coupling)
-        return NestedFits(self._rms(squares, total), parameters)
+        return NestedFits(self._rms(squares, total), parameters, rank)
 
     def curves(
-        self, schemes: Mapping[str, Scheme], sizes: Integers, threads: int | None = None
+        self,
+        schemes: Mapping[str, Scheme | Neighbourhoods],
+        sizes: Integers,
+        threads: int | None = None,
+        step: Callable[[], None] | None = None,
     ) -> dict[str, NestedCurve]:
-        """Cross-validate the models with these numbers of columns, increasing, by schemes over the data."""
-        return self._curves(schemes, self._coupling, sizes, threads)
+        """Cross-validate the models with these numbers of columns, increasing, by schemes over the data.
+
+        Listed schemes go through the core in one call, neighbourhoods together in blocks; `step` is called
+        after each, as often as `steps` says.
+        """
+        listed = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Scheme)}
+        around = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Neighbourhoods)}
+        found = self._listed(listed, self._coupling, sizes, threads)
+        if step is not None:
+            step()
+        found |= self._around(around, sizes, threads, step)
+        return {name: found[name] for name in schemes}
 
     def press(self, sizes: Integers, threads: int | None = None) -> NestedCurve:
         """Hold out every row on its own, equation (3)."""
         alone = {"": leave_one_out(self.n_rows)}
-        return self._curves(alone, each_alone(self.n_rows), sizes, threads)[""]
+        return self._listed(alone, each_alone(self.n_rows), sizes, threads)[""]
 
-    def _curves(
+    def _listed(
         self, schemes: Mapping[str, Scheme], rows: IndexSets, sizes: Integers, threads: int | None
     ) -> dict[str, NestedCurve]:
-        listed = [(_arrays(s.held_out), _arrays(s.validated), s.visiting_order) for s in schemes.values()]
-        found = self._core.curves(listed, _arrays(rows), sizes, check.threads(threads))
-        totals = [self._total(scheme.validated.indices, rows) for scheme in schemes.values()]
-        return {
-            name: NestedCurve(self._rms(squares, total), defined)
-            for name, total, (squares, defined) in zip(schemes, totals, found, strict=True)
-        }
+        given = [((_arrays(s.held_out), _arrays(s.validated)), s.visiting_order) for s in schemes.values()]
+        found = self._core.curves(given, _arrays(rows), sizes, check.threads(threads))
+        curves = {}
+        for (name, scheme), (squares, visited) in zip(schemes.items(), found, strict=True):
+            defined = np.empty_like(visited)
+            defined[scheme.visiting_order] = visited
+            total = self._total(scheme.validated.indices, rows)
+            curves[name] = NestedCurve(self._rms(squares, total), defined)
+        return curves
+
+    def _around(
+        self,
+        schemes: Mapping[str, Neighbourhoods],
+        sizes: Integers,
+        threads: int | None,
+        step: Callable[[], None] | None,
+    ) -> dict[str, NestedCurve]:
+        squares = {name: np.zeros(len(sizes)) for name in schemes}
+        defined = {name: np.empty(self.n_data, dtype=np.int64) for name in schemes}
+        for first in range(0, self.n_data, _BLOCK):
+            given = [(s.around, s.order[first : first + _BLOCK]) for s in schemes.values()]
+            found = self._core.curves(given, _arrays(self._coupling), sizes, check.threads(threads))
+            for (name, (_, order)), (part, visited) in zip(
+                zip(schemes, given, strict=True), found, strict=True
+            ):
+                squares[name] += part
+                defined[name][order] = visited
+            if step is not None:
+                step()
+        total = self._total(np.arange(self.n_data), self._coupling)
+        return {name: NestedCurve(self._rms(squares[name], total), defined[name]) for name in schemes}
 
     def _total(self, data: Integers, rows: IndexSets) -> float:
         """Sum of the weights of data, each given by its rows."""
@@ -114,6 +162,11 @@ class Nested:
         if total == 0:
             return np.full(len(squares), np.nan)
         return np.ldexp(np.sqrt(squares / total), self._unit)
+
+
+def steps(n_data: int) -> int:
+    """How often `Nested.curves` reports."""
+    return 1 + -(-n_data // _BLOCK)
 
 
 def _arrays(sets: IndexSets) -> tuple[Integers, Integers]:
@@ -152,8 +205,8 @@ def cross_validate_nested(
     Returns
     -------
     dict of str to (k,) array
-        P of every size, in the responses' unit, by the names of the schemes. NaN where the rows that a pair leaves do not
-        determine the model: from one size on, all are.
+        P of every size, in the responses' unit, by the names of the schemes. NaN where the rows that a pair
+        leaves do not determine the model: from one size on, all are.
 
     Raises
     ------
@@ -174,7 +227,7 @@ def cross_validate_nested(
     >>> near = {"ER5": mx.schemes.exclusion_radius(x[:, None], 0.05)}
     >>> curves = mx.cross_validate_nested(np.vander(x, 13, increasing=True), noisy, range(2, 14), near)
     >>> range(2, 14)[int(np.nanargmin(curves["ER5"]))]
-    8
+    7
     """
     checked = _checked_schemes(schemes)
     nested = Nested(A, b, coupling, weights, penalty, threads=threads)

@@ -1,16 +1,24 @@
-"""Where control points go: Lloyd's algorithm over the region that the data cover."""
+"""Where control points go: evenly over the region that the data cover, or to the data that fit worst."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _core
 from mexpress import _validation as check
-from mexpress._validation import Floats
+from mexpress._validation import Floats, Integers
 
-__all__ = ["covered_region", "lattice", "lloyd", "thinness"]
+__all__ = ["by_residual", "covered_region", "lattice", "lloyd", "thinness"]
 
 NEAR_LINE = 1e-6
 """Points are on a line when their spread across it is below this fraction of the spread along it."""
+
+COINCIDENT = 1e-5
+"""Control points coincide when they are nearer than this fraction of the largest distance to their mean."""
+
+SPACING = 0.025
+"""What `by_residual` keeps control points apart by, as a fraction of the diagonal of the data's bounding box."""
+
+_DRAWS = 100
 
 _MAX_STEPS = 100
 _TOLERANCE = 1e-4
@@ -168,6 +176,127 @@ def lloyd(
         if thinness(white) > 0.1:
             break
     return np.asarray(centroid + white @ shape.T)
+
+
+def by_residual(
+    points: ArrayLike,
+    values: ArrayLike,
+    max_count: int,
+    min_distance: float | None = None,
+    seed: int | np.random.Generator | None = 0,
+    threads: int | None = None,
+) -> Integers:
+    """Choose the data that become control points: always the one that fits worst so far.
+
+    Starts from three random data and the affine fit. Then a thin-plate spline on the control points so far is
+    fitted to all data by plain least squares, and of the data farther than `min_distance` from every control
+    point the one with the largest residual is the next, until `max_count` is reached or there is none. It
+    also ends when no residual is above 1e-12 of the largest value: data exactly on a plane get three
+    control points.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Data positions, x then y, in any unit.
+    values : array_like, (n,) or (n, d)
+        Values there, in any unit; the residual of a datum is the norm over its d values. A tie, to within
+        1e-9, goes to the smallest index.
+    max_count : int
+        Largest number of control points, 3 or more.
+    min_distance : float, optional
+        Control points are farther apart than this, in the unit of the points; 2.5% of the diagonal of the
+        points' bounding box by default.
+    seed : int, Generator or None
+        Of the first three: the same number gives the same control points, None fresh ones.
+    threads : int, optional
+        Upper bound on threads; all cores by default. The result does not depend on it.
+
+    Returns
+    -------
+    ndarray, (l,)
+        Indices of the data that become control points, in the order in which they come: the first k are what
+        `max_count=k` gives. Fewer than `max_count` if the placement ends earlier.
+
+    Raises
+    ------
+    ValueError
+        If the points are on a line or fewer than three distinct ones, if values do not match them, entries are
+        not finite, or `max_count` is below 3.
+    TypeError
+        If points or values are not numbers, or an option has not its type.
+
+    Notes
+    -----
+    A penalty on bending plays no part: which data become control points does not depend on the smoothing that
+    is chosen later.
+
+    The first three are drawn with a probability proportional to the squared area of their triangle. So they
+    are well spread, never on a line or in one place, and in a thin or slanted strip as good as in a square,
+    without a threshold to tune. A draw with two of them nearer than `min_distance` is repeated, up to a
+    hundred times; if all fail, the one with the largest shortest side stands.
+
+    The default of `min_distance` keeps cross-validation well-conditioned. The paper's advice is to hold out the
+    data within 10% of the diagonal. With control points 1% apart some such discs enclose so many of them that
+    the other data no longer determine them (smallest eigenvalue of I - H_KK below 1e-10); at 2.5% it stays above
+    1e-8 with 175 control points on real depth maps, and the fit is as good. Nor are control points
+    ever nearer than 1e-5 of the diagonal, where splines cannot tell them apart.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
+    >>> points, heights = np.column_stack([x.ravel(), y.ravel()]), np.exp(-((x - 7) ** 2) / 9).ravel()
+    >>> chosen = by_residual(points, heights, 8)
+    >>> len(chosen), len(set(chosen.tolist()))
+    (8, 8)
+    >>> bool((chosen[:5] == by_residual(points, heights, 5)).all())
+    True
+    """
+    points = check.points(points, "points")
+    values = check.columns(values, "values", len(points))
+    covered_region(points)
+    max_count = check.count(max_count, "max_count", 3)
+    random, threads = check.generator(seed), check.threads(threads)
+    diagonal = float(np.hypot(*np.ptp(points, axis=0)))
+    distance = SPACING * diagonal
+    if min_distance is not None:
+        rule = "It must be a distance of at least 0."
+        distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * diagonal)
+    first = _spread_triangle(points, distance, random)
+    outputs = values.reshape(len(values), -1)
+    return _core.arrival(points, outputs, first, min(max_count, len(points)), distance, threads)
+
+
+def _spread_triangle(points: Floats, distance: float, random: np.random.Generator) -> tuple[int, int, int]:
+    """Draw three points, farther apart than a distance if a hundred draws will do."""
+    centred = points - points.mean(axis=0)
+    plane = np.linalg.qr(centred / np.abs(centred).max()).Q
+    basis = np.column_stack([np.full(len(points), len(points) ** -0.5), plane])
+    widest, best = -1.0, (0, 1, 2)
+    for _ in range(_DRAWS):
+        triangle = _triangle(basis, random)
+        corners = points[list(triangle)]
+        width = float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).min())
+        if width > widest:
+            widest, best = width, triangle
+        if width > distance:
+            break
+    return best
+
+
+def _triangle(basis: Floats, random: np.random.Generator) -> tuple[int, int, int]:
+    """Draw three points with a probability proportional to the squared area of their triangle.
+
+    That is the squared determinant of their rows in any basis of the affine functions. If it is orthonormal,
+    the first is drawn by the squared norms of the rows, the next by those of what is left of the rows when
+    the direction of the first is taken away, and so on.
+    """
+    left, drawn = basis, []
+    for _ in range(3):
+        squares = (left**2).sum(axis=1)
+        drawn.append(int(random.choice(len(left), p=squares / squares.sum())))
+        row = left[drawn[-1]]
+        left = left - np.outer(left @ row, row / (row @ row))
+    return drawn[0], drawn[1], drawn[2]
 
 
 def _convex_hull(points: Floats) -> Floats:

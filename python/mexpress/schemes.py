@@ -111,14 +111,14 @@ class Scheme:
     validated : IndexSets
         Data whose prediction is scored, for each pair: a subset of those held out.
     order : (k,) int array, optional
-        The pairs in an order in which successive ones share most of what they hold out. It changes no result, but the time
-        that large neighbourhoods take.
+        The pairs in an order in which successive ones share most of what they hold out. It changes no result, but
+        the time that large neighbourhoods take.
 
     Raises
     ------
     ValueError, TypeError
-        If an index is not below n_data, a set does not increase, a datum is validated without being held out, or the order
-        is none of the pairs.
+        If an index is not below n_data, a set does not increase, a datum is validated without being held out, or
+        the order is none of the pairs.
 
     Examples
     --------
@@ -162,6 +162,50 @@ class Scheme:
         low, high = (int(sizes.min()), int(sizes.max())) if len(self) else (0, 0)
         span = f"{low}" if low == high else f"{low} to {high}"
         return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Neighbourhoods:
+    """Validate each datum with its neighbourhood held out, as `exclusion_radius` and `nearest` do.
+
+    The neighbourhoods are found when they are needed: listed, those of 300,000 pixels do not fit in memory.
+
+    Parameters
+    ----------
+    n_data : int
+        Number of data.
+    around : object of the core
+        Finds the neighbourhood of a datum.
+    order : (n_data,) int64 array
+        The data in an order in which successive ones are near each other.
+
+    Examples
+    --------
+    >>> from mexpress.schemes import Neighbourhoods
+    >>> import numpy as np
+    >>> Neighbourhoods.within(np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]]), 1.5)
+    Neighbourhoods(3 data, about 2 held out)
+    """
+
+    n_data: int
+    around: _core.Around
+    order: Integers
+
+    @classmethod
+    def within(cls, points: Floats, radius: float) -> Neighbourhoods:
+        """All within a radius: `exclusion_radius`."""
+        where = check.points(points, "points", dimension=None)
+        return cls(len(where), _core.Around.within(where, radius), _core.along_curve(where))
+
+    @classmethod
+    def nearest(cls, points: Floats, k: int) -> Neighbourhoods:
+        """The k nearest, the datum itself counted: `nearest`."""
+        where = check.points(points, "points", dimension=None)
+        k = check.count(k, "k", 1, len(where))
+        return cls(len(where), _core.Around.nearest(where, k), _core.along_curve(where))
+
+    def __repr__(self) -> str:
+        return f"Neighbourhoods({self.n_data} data, about {self.around.mean:.0f} held out)"
 
 
 def compress(sets: Iterable[Integers]) -> IndexSets:

@@ -18,18 +18,20 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, Score, parse
-from mexpress.designs import matched, warp_design
+from mexpress.designs import matched, measured_data, surface_design, warp_design
 from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import make_lifting
-from mexpress.placement import covered_region, lloyd
+from mexpress.nested import Nested, steps
+from mexpress.placement import by_residual, covered_region, lloyd
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
+from mexpress.surfaces import Surface
 from mexpress.warps import Warp
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Selection", "WarpSelection", "largest_count", "select_warp"]
+__all__ = ["Selection", "SurfaceSelection", "WarpSelection", "largest_count", "select_surface", "select_warp"]
 
 DEFAULT_CRITERIA = ("FIT", "PRESS", "CMPRESS")
 
@@ -284,6 +286,7 @@ def _judge(
     diagonal: float | None,
     seed: Any,
     threads: int | None,
+    nested: bool = False,
 ) -> tuple[str, Judge]:
     """The selecting criterion's name, and a judge of it and the others."""
     own = criteria if isinstance(criteria, Mapping) else {}
@@ -292,9 +295,8 @@ def _judge(
     named = DEFAULT_CRITERIA if criteria is None or own else criteria
     names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
     chosen = parse(criterion).name
-    judge = Judge.of([*names, chosen], points, diagonal, seed, threads)
-    extra = Judge.of(own, points)
-    return chosen, Judge(judge.criteria | extra.criteria, judge.schemes | extra.schemes)
+    judge = Judge.of([*names, chosen], points, diagonal, seed, threads, nested)
+    return chosen, judge | Judge.of(own, points)
 
 
 def _curves(
@@ -308,3 +310,136 @@ def _curves(
         for name in names
     }
     return np.array(list(scores), dtype=np.int64), curves, {k: v for k, v in undefined.items() if v}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfaceSelection(Selection):
+    """A surface with the number of control points that a criterion chose; see `Selection` for the other fields.
+
+    Parameters
+    ----------
+    surface : Surface
+        Fitted with the selected number of control points.
+    points : (n, 2) array
+        Where the data are.
+    values : (n,) or (n, d) array
+        The data.
+    control_points : (l, 2) array
+        In the order in which they came; a model of l control points has the first l.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
+    >>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]), max_count=40)
+    >>> len(selection.surface.control_points) == selection.count
+    True
+    >>> figure = selection.plot()  # of matplotlib
+    """
+
+    surface: Surface
+    points: Floats
+    values: Floats
+    control_points: Floats
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the criteria against the number of control points (needs the extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
+
+        return plot_selection(self, path)
+
+
+def select_surface(
+    points: ArrayLike,
+    values: ArrayLike,
+    criterion: str = "ER10",
+    criteria: Sequence[str] | Mapping[str, Scheme] | None = None,
+    max_count: int = 175,
+    min_distance: float | None = None,
+    smoothing: float = 0.0,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> SurfaceSelection:
+    """Fit a surface to data with the number of control points that a criterion chooses.
+
+    Control points come one at a time, where the surface so far is farthest from the data (section 5.1 of the paper), so
+    the models are nested and every criterion's whole curve costs what one model does.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Where the data are: pixels of a depth map, or parameters of a sheet.
+    values : (n,) or (n, d) array
+        Depth, or positions in d dimensions.
+    criterion : str, default "ER10"
+        Which criterion selects, see `mexpress.criteria`; ERxx is a percentage of the diagonal of the points'
+        bounding box. ER10 predicts every datum with all data within 10 % of it held out, as the paper advises;
+        no radius is right for every use, so look at several.
+    criteria : sequence of str, or mapping of str to Scheme, optional
+        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own,
+        by names that no criterion has: if the criterion is one of them they stand alone, else beside the three.
+    max_count : int, default 175
+        The largest number of control points.
+    min_distance : float, optional
+        How near control points may come to each other, in the unit of the points; 2.5 % of the diagonal if not given,
+        see `mexpress.placement.by_residual`.
+    smoothing : float, default 0
+        Weight of the surface's bending energy beside the sum of squared residuals: larger is stiffer, down to a plane.
+    seed : int, default 0
+        Of everything random: the same seed gives the same result, whatever the number of threads.
+    threads : int, optional
+        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+    progress : bool, default False
+        Whether to show progress on the terminal.
+
+    Returns
+    -------
+    SurfaceSelection
+        With the surface, the curves, and what every criterion would choose.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the input is not made of finite data that cover a region, or if the criterion is undefined at every count.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> points = rng.uniform(0, 640, (1000, 2))
+    >>> depth = 2 + 0.1 * np.sin(points[:, 0] / 100) + rng.normal(0, 0.01, 1000)
+    >>> selection = mx.select_surface(points, depth, criterion="ER05", max_count=60)
+    >>> selection.selected["FIT"], 10 <= selection.count < 60
+    (60, True)
+    >>> selection.surface([[320, 320]]).shape
+    (1,)
+    """
+    where, measured, _ = measured_data(points, values)
+    most = check.count(max_count, "max_count", 3)
+    weight = check.number(smoothing, "smoothing", "It must be a number of at least 0.", 0.0)
+    check.flag(progress, "progress")
+    name, judge = _judge(criterion, criteria, where, None, seed, threads, nested=True)
+    with bar(1 + steps(len(where)), "surface") if progress else nullcontext(lambda: None) as step:
+        arrived = where[by_residual(where, measured, most, min_distance, seed, threads)]
+        design = surface_design(where, measured, arrived)
+        stiff = math.sqrt(weight) * design.bending() if weight else None
+        nested = Nested(design.A, design.b, penalty=stiff, threads=threads)
+        step()
+        counts = np.arange(3, len(arrived) + 1)
+        scores = judge.curves(nested, counts, threads, step)
+    by_count = {int(n): {key: curve[k] for key, curve in scores.items()} for k, n in enumerate(counts)}
+    selected = Selection(name, *_curves(by_count))
+    count = selected.count
+    surface = design.surface(nested.coefficients(count), count)
+    return SurfaceSelection(
+        name, selected.counts, selected.curves, selected.undefined, surface, where, measured, arrived
+    )

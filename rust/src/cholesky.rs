@@ -187,7 +187,8 @@ impl Bordered {
         let Shape { order, terms, .. } = self.shape;
         let row = order + row;
         let at = self.skip + row / PANEL * self.shape.stride() + terms * PANEL + row % PANEL;
-        self.storage[at..].iter().step_by(PANEL).take(order).copied()
+        // With no unknowns the place may be past the end.
+        self.storage.get(at..).unwrap_or(&[]).iter().step_by(PANEL).take(order).copied()
     }
 
     /// `L^T z = y` with y the forward solve of border row `row`: unknowns `from..order`.
@@ -198,6 +199,32 @@ impl Bordered {
         self.solution = solution;
         self.back_substitute(from);
         &self.solution[from..order]
+    }
+
+    /// `L^T x`, to be added to `out`.
+    pub fn add_transposed(&self, x: &[f64], out: &mut [f64]) {
+        let terms = self.shape.terms;
+        for (j, (out, pivot)) in out.iter_mut().zip(&self.inverse_pivots).enumerate() {
+            *out += x[j] / pivot;
+            for (panel, x) in x.chunks(PANEL).enumerate().skip(j / PANEL) {
+                let at = self.skip + panel * self.shape.stride() + (terms + j) * PANEL;
+                let first = if panel == j / PANEL { j % PANEL + 1 } else { 0 };
+                let column = &self.storage[at..at + x.len()];
+                *out += column[first..].iter().zip(&x[first..]).map(|(l, x)| l * x).sum::<f64>();
+            }
+        }
+    }
+
+    /// `L^T`, column-major.
+    pub fn upper(&self) -> Vec<f64> {
+        let Shape { order, terms, .. } = self.shape;
+        let mut upper = vec![0.0; order * order];
+        for (i, column) in upper.chunks_exact_mut(order.max(1)).enumerate() {
+            let at = self.skip + i / PANEL * self.shape.stride() + terms * PANEL + i % PANEL;
+            column[..i].iter_mut().zip(self.storage[at..].iter().step_by(PANEL)).for_each(|(u, l)| *u = *l);
+            column[i] = self.inverse_pivots[i].recip();
+        }
+        upper
     }
 
     /// `L L^T z = right`, for a right-hand side that came after the factorisation.

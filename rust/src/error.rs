@@ -46,6 +46,11 @@ pub enum Error {
         /// A row whose residual is no longer what it was.
         row: usize,
     },
+    /// Three points that must span a triangle are on a line.
+    Collinear {
+        /// Their indices.
+        first: [usize; 3],
+    },
     /// A singular value decomposition did not converge.
     NoConvergence,
 }
@@ -61,6 +66,7 @@ impl fmt::Display for Error {
             Self::TooMany { most } => write!(f, "more than {most} neighbours in all"),
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
             Self::Changed { row } => write!(f, "row {row} has changed since the factorisation"),
+            Self::Collinear { first: [a, b, c] } => write!(f, "points {a}, {b} and {c} are on a line"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }
     }

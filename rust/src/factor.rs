@@ -66,13 +66,15 @@ pub struct Factor {
     /// Below this, relative to the largest, a singular value is rounding.
     pub(crate) tolerance: f64,
     /// What brings columns to unit length.
-    scales: Vec<f64>,
+    pub(crate) scales: Vec<f64>,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
     /// The largest weighted response in size.
     largest_response: f64,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
     pub(crate) residuals: Vec<f64>,
+    /// `Q^T b` of the weighted responses, responses x rank.
+    pub(crate) projection: Vec<f64>,
     /// Diagonal of the hat matrix.
     pub leverage: Vec<f64>,
     /// Square roots of the weights.
@@ -103,20 +105,26 @@ impl Factor {
             coefficients: Vec::new(),
             largest_response: 0.0,
             residuals: weighted_responses(problem, responses),
-            // The penalty rows' leverage is dropped at the end.
-            leverage: vec![0.0; total],
+            leverage: Vec::new(),
+            projection: Vec::new(),
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         };
         factor.largest_response = factor.residuals.iter().fold(0.0, |largest, b| f64::max(largest, b.abs()));
-        let projection = factor.project(&factor.residuals, pool)?;
-        factor.coefficients = top.solve(&projection, responses);
+        factor.projection = factor.project(&factor.residuals, pool)?;
+        factor.subtract(&factor.projection.clone(), pool)?;
+        // Once more: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
+        let rest = factor.project(&factor.residuals, pool)?;
+        factor.subtract(&rest, pool)?;
+        factor.projection.iter_mut().zip(&rest).for_each(|(c, rest)| *c += rest);
+        factor.coefficients = top.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(columns) {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
         }
         factor.triangle = top.triangle;
         factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
-        factor.judge(&projection, pool)?;
-        factor.leverage.truncate(rows);
+        factor.leverage =
+            factor.basis.chunks_exact(factor.rank.max(1)).take(rows).map(|q| dot(q, q)).collect();
+        factor.leverage.resize(rows, 0.0);
         Ok(factor)
     }
 
@@ -232,23 +240,18 @@ impl Factor {
         }
     }
 
-    /// Turns responses into residuals, and fills in the leverage.
-    fn judge(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<(), Error> {
+    /// Takes `Q projection` from the residuals.
+    fn subtract(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<(), Error> {
         let (rank, responses) = (self.rank, self.responses);
         if rank == 0 || responses == 0 {
             return Ok(());
         }
-        let basis = self.basis.chunks(ROWS * rank);
-        let parts =
-            self.residuals.chunks_mut(ROWS * responses).zip(self.leverage.chunks_mut(ROWS)).zip(basis);
+        let parts = self.residuals.chunks_mut(ROWS * responses).zip(self.basis.chunks(ROWS * rank));
         pool.run(
             parts,
             || (),
-            |(), ((residuals, leverage), basis)| {
-                for ((e, h), q) in
-                    residuals.chunks_exact_mut(responses).zip(leverage).zip(basis.chunks_exact(rank))
-                {
-                    *h = dot(q, q);
+            |(), (residuals, basis)| {
+                for (e, q) in residuals.chunks_exact_mut(responses).zip(basis.chunks_exact(rank)) {
                     for (e, c) in e.iter_mut().zip(projection.chunks_exact(rank)) {
                         *e -= dot(q, c);
                     }
@@ -544,12 +547,42 @@ impl Revealed {
     }
 }
 
-/// The smallest number of leading columns that are not of full rank, if all of them are not: rank, once lost, stays so.
-pub(crate) fn first_deficient(
+/// How many leading columns of a triangle (order x order, column-major) are of full rank, singular values below a
+/// fraction of the largest counting as zero. Rank, once lost, stays so: leading blocks interlace.
+pub(crate) fn leading_rank(
+    triangle: &[f64],
+    order: usize,
+    tolerance: f64,
+    pool: &Pool<'_>,
+) -> Result<usize, Error> {
+    let column = |j: usize| &triangle[j * order..j * order + j + 1];
+    // A diagonal entry bounds the least singular value, the longest column the largest: most losses show like this.
+    let longest = (0..order).map(|j| dot(column(j), column(j)).sqrt()).fold(0.0, f64::max);
+    let all = (0..order).find(|&j| column(j)[j].abs() <= tolerance * longest).unwrap_or(order);
+    let leading = |count: usize| {
+        let mut r = vec![0.0; count * count];
+        for (j, target) in r.chunks_exact_mut(count).enumerate() {
+            target[..=j].copy_from_slice(column(j));
+        }
+        r
+    };
+    first_deficient(all, |count| {
+        let r = leading(count);
+        // And most others pass without a decomposition, as in `Top::new`.
+        if linalg::inverse_norm(&r, count).recip() > 2.0 * tolerance * (count as f64).sqrt() {
+            return Ok(true);
+        }
+        Ok(numerical_rank(&linalg::thin_svd(r, count, count, pool)?.s, tolerance) == count)
+    })
+    .map(|first| first.map_or(all, |count| count - 1))
+}
+
+/// The smallest number of leading columns that are not of full rank, if all of them are not.
+fn first_deficient(
     columns: usize,
     mut full: impl FnMut(usize) -> Result<bool, Error>,
 ) -> Result<Option<usize>, Error> {
-    if full(columns)? {
+    if columns == 0 || full(columns)? {
         return Ok(None);
     }
     let (mut good, mut bad) = (0, columns);

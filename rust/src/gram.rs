@@ -1,8 +1,8 @@
 //! `I - Q_K^T Q_K` kept between held-out sets: neighbouring data share most of what they hold out.
 //!
 //! A set of rows is turned into the next by adding and removing the few rows in which they differ, at p^2/2 multiply-adds
-//! a row, instead of p^2/2 for every row of the set. Below the p rows of the matrix stand the right-hand sides
-//! `Q^T b - Q_K^T b_K`, which follow the same sums. Rounding adds up: an error of about eps a change, so users start afresh
+//! a row, instead of p^2/2 for every row of the set. Below the p rows of the matrix stand the right-hand sides `-Q_K^T e_K`,
+//! which follow the same sums. Rounding adds up: an error of about eps a change, so users start afresh
 //! now and then.
 //!
 //! Storage is in the panels of [`crate::cholesky`], so that a factorisation starts from a copy.
@@ -26,19 +26,14 @@ pub struct Gram {
 }
 
 impl Gram {
-    /// Nothing held out: the identity, above border rows (`border` x `order`).
-    pub fn start(&mut self, order: usize, border: &[f64]) {
-        (self.order, self.border) = (order, border.len() / order.max(1));
+    /// Nothing held out: the identity, above right-hand sides of zero.
+    pub fn start(&mut self, order: usize, border: usize) {
+        (self.order, self.border) = (order, border);
         let rows = (order + self.border).next_multiple_of(PANEL);
         self.panels.clear();
         self.panels.resize(rows * order, 0.0);
         for j in 0..order {
             *self.entry(j, j) = 1.0;
-        }
-        for (c, row) in border.chunks_exact(order.max(1)).enumerate() {
-            for (j, x) in row.iter().enumerate() {
-                *self.entry(order + c, j) = *x;
-            }
         }
     }
 
@@ -184,15 +179,14 @@ mod tests {
             let width = order + responses;
             let rows: Vec<Vec<f64>> = (0..150).map(|i| (0..width).map(|j| value(i, j)).collect()).collect();
             let fetch = |i: usize| rows[i].split_at(order);
-            let border: Vec<f64> = (0..responses * order).map(|k| value(k, 5)).collect();
             let mut gram = Gram::default();
-            gram.start(order, &border);
+            gram.start(order, responses);
             let all: Vec<usize> = (0..150).collect();
             gram.remove(&all, fetch);
             gram.restore(&all[..70], fetch);
             for i in 0..width {
                 for j in 0..order.min(i + 1) {
-                    let base = if i < order { f64::from(i == j) } else { border[(i - order) * order + j] };
+                    let base = f64::from(i == j);
                     let sum: f64 = rows[70..].iter().map(|row| row[i] * row[j]).sum();
                     assert!((*gram.entry(i, j) - (base - sum)).abs() < 1e-13);
                 }

@@ -29,11 +29,13 @@
 //! | [`holdout`] | held-out pairs: which method, and their predictions in parallel |
 //! | [`nested`] | every leading model at once: whole curves for the price of one model |
 //! | [`gram`] | the matrix that neighbouring held-out sets share |
+//! | [`doubled`] | the same with twice the digits, for pairs close to rank loss |
 //! | [`cholesky`] | the kernel: Gram matrix, factorisation and solve in one recurrence |
 //! | [`refit`] | pairs at the edge of rank loss |
 //! | [`neighbours`], [`delaunay`] | which data are near which |
 //! | [`curve`] | an order in which successive data are near each other |
 //! | [`placement`] | Lloyd's algorithm for control points |
+//! | [`arrival`] | control points that arrive where residuals are largest |
 //! | [`scheme`] | index sets in compressed rows |
 //! | [`pool`] | threads, cancellation, `fork` |
 //! | [`linalg`] | dense factorisations; the only file that names faer |
@@ -75,9 +77,11 @@
 
 #![deny(missing_docs)]
 
+pub mod arrival;
 pub mod cholesky;
 pub mod curve;
 pub mod delaunay;
+pub mod doubled;
 pub mod error;
 pub mod factor;
 pub mod gram;

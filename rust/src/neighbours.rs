@@ -156,6 +156,123 @@ where
     Ok(joined(chunks))
 }
 
+/// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
+///
+/// ```
+/// use mexpress::neighbours::Around;
+/// let around = Around::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0)?;
+/// let mut members = Vec::new();
+/// around.members(2, &mut members);
+/// members.sort();
+/// assert_eq!(members, [0, 2, 3]);
+/// # Ok::<(), mexpress::error::Error>(())
+/// ```
+pub struct Around {
+    index: Index,
+    /// Each point alone.
+    pub own: Sets,
+    /// About how many members a neighbourhood has.
+    pub mean: f64,
+}
+
+enum Index {
+    Plane(Balls<2>),
+    Space(Balls<3>),
+}
+
+struct Balls<const N: usize>
+where
+    [f64; N]: Point<Scalar = f64>,
+{
+    points: Vec<[f64; N]>,
+    tree: Tree<N>,
+    reach: Reach,
+}
+
+enum Reach {
+    /// The square of a radius; the tree is of points.
+    Within(f64),
+    /// A number of points; the tree is of places, with these members.
+    Nearest(usize, Sets),
+}
+
+impl Around {
+    /// Neighbourhoods of all points within a radius, as [`within`] lists them.
+    pub fn within(points: &[f64], dimension: usize, radius: f64) -> Result<Self, Error> {
+        let scale = checked_scale(points, dimension)?;
+        let square = (radius.max(0.0) * scale).powi(2);
+        let index = match dimension {
+            1 | 2 => Index::Plane(Balls::within(scaled(points, dimension, scale), square)),
+            _ => Index::Space(Balls::within(scaled(points, dimension, scale), square)),
+        };
+        Ok(Self::new(index, points.len() / dimension))
+    }
+
+    /// Neighbourhoods of the `k` nearest points, as [`nearest`] lists them.
+    pub fn nearest(points: &[f64], dimension: usize, k: usize) -> Result<Self, Error> {
+        let scale = checked_scale(points, dimension)?;
+        let count = points.len() / dimension;
+        if k == 0 || k > count {
+            return Err(Error::Index { index: k, bound: count + 1 });
+        }
+        let index = match dimension {
+            1 | 2 => Index::Plane(Balls::nearest(scaled(points, dimension, scale), k)),
+            _ => Index::Space(Balls::nearest(scaled(points, dimension, scale), k)),
+        };
+        Ok(Self::new(index, count))
+    }
+
+    fn new(index: Index, count: usize) -> Self {
+        const SAMPLES: usize = 64;
+        let own = Sets { offsets: (0..=count).collect(), items: (0..count).collect() };
+        let mut around = Self { index, own, mean: 0.0 };
+        let mut members = Vec::new();
+        let sampled: Vec<usize> = (0..count).step_by(count.div_ceil(SAMPLES).max(1)).collect();
+        for &i in &sampled {
+            around.members(i, &mut members);
+            around.mean += members.len() as f64 / sampled.len() as f64;
+        }
+        around
+    }
+
+    /// Replaces `out` by the neighbourhood of point `i`, in no order.
+    pub fn members(&self, i: usize, out: &mut Vec<usize>) {
+        match &self.index {
+            Index::Plane(balls) => balls.members(i, out),
+            Index::Space(balls) => balls.members(i, out),
+        }
+    }
+}
+
+impl<const N: usize> Balls<N>
+where
+    [f64; N]: Point<Scalar = f64>,
+{
+    fn within(points: Vec<[f64; N]>, square: f64) -> Self {
+        Self { tree: tree(&points), points, reach: Reach::Within(square) }
+    }
+
+    fn nearest(points: Vec<[f64; N]>, k: usize) -> Self {
+        let (distinct, members) = places(&points);
+        Self { tree: tree(&distinct), points, reach: Reach::Nearest(k, members) }
+    }
+
+    fn members(&self, i: usize, out: &mut Vec<usize>) {
+        out.clear();
+        match &self.reach {
+            Reach::Within(square) => {
+                out.extend(self.tree.locate_within_distance(self.points[i], *square).map(|found| found.data));
+            }
+            Reach::Nearest(k, members) => {
+                out.resize(*k, 0);
+                let (found, pending) = (Vec::new(), Vec::new());
+                let mut search = Search { tree: &self.tree, members, k: *k, found, pending };
+                search.nearest(i, &self.points[i], out);
+            }
+        }
+    }
+}
+
 fn joined(parts: Vec<Sets>) -> Sets {
     let mut offsets = Vec::with_capacity(1 + parts.iter().map(Sets::len).sum::<usize>());
     let mut items = Vec::with_capacity(parts.iter().map(|part| part.items.len()).sum());
@@ -186,6 +303,7 @@ where
     pool.run(ordered.chunks_mut(CHUNK), workspace, |search, chunk| {
         for (i, row) in chunk {
             search.nearest(*i, &points[*i], row);
+            row.sort_unstable();
         }
     })?;
     Ok(Sets { offsets: (0..=points.len()).map(|i| i * k).collect(), items })
@@ -224,7 +342,6 @@ where
         if !row.contains(&i) {
             row[self.k - 1] = i;
         }
-        row.sort_unstable();
     }
 
     fn open(&mut self, node: &'a ParentNode<Place<N>>, point: &[f64; N], bound: &mut f64) {

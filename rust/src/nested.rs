@@ -1,14 +1,16 @@
 //! Every leading model at once: model l has the first l columns of the design.
 //!
 //! Let Q be the basis of an unpivoted factorisation, so that its first l columns span those of model l. For a held-out set K
-//! factor `M = I - Q_K^T Q_K = L L^T` without pivoting. With `u = L^-1 q_i` and `v = L^-1 (Q^T b - Q_K^T b_K)`, the prediction
-//! of model l at row i is
+//! factor `M = I - Q_K^T Q_K = L L^T` without pivoting. With `b = Q c + e`, `u = L^-1 q_i` and
+//! `v = L^-1 (Q^T b - Q_K^T b_K) = L^T c - L^-1 Q_K^T e_K`, the prediction of model l at row i is
 //!
 //! ```text
 //! sum_{j <= l} u_j v_j
 //! ```
 //!
-//! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set.
+//! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set. The second form
+//! of v has no cancellation; nor has the sum if it goes backward from the prediction residual of the last model,
+//! `e_i + u . L^-1 Q_K^T e_K`, where that is smaller than b.
 //!
 //! * **Dual**, for small sets: `S_l = I - Q_K,l Q_K,l^T` loses one rank-one term a column. With `w = S_l-1^-1 q_l` and
 //!   `d = 1 - q_l . w`, which is the pivot `L_ll^2`,
@@ -16,24 +18,33 @@
 //!   cancellation; what drifts shows in `S_p e - e_K`, and is then left to the primal.
 //! * **Neighbouring sets** share a [`Gram`] matrix: that of a pair is made from that of the pair before, of the next smaller
 //!   scheme around the same datum (ring by ring), or afresh, whichever differs in the fewest rows.
-//! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. Pairs near it are refitted from
-//!   their training rows, whose own triangle gives u and v for all l.
+//! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. M squares singular values, so the
+//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see [`crate::doubled`]. The training
+//!   rows' triangle `L^T R`, with R the design's, decides on rank. Where Q itself has too few digits, at lambda_min near
+//!   rounding, the training rows are refitted, and their own triangle gives u and v for all l.
 
 use std::sync::OnceLock;
 
 use crate::cholesky::Bordered;
+use crate::doubled::{self, DoubledFactor, DoubledGram, Doubles};
 use crate::error::Error;
 use crate::factor::{self, Factor, Problem, expect_length};
 use crate::gram::Gram;
 use crate::holdout::{PROBES, check_indices, least_eigenvalue, sign};
-use crate::linalg::dot;
+use crate::linalg::{self, dot};
+use crate::neighbours::Around;
 use crate::pool::Pool;
 use crate::refit::Refit;
 use crate::scheme::Sets;
 
-/// Below this lambda_min(M) pairs are refitted. The closed form's error, about eps / lambda_min(M), is there that of any
-/// refit of noisy data, whose condition is the same.
-const SAFE: f64 = 1e-7;
+/// Below this lambda_min(M) a pair needs twice the digits.
+const SAFE: f64 = 1e-6;
+
+/// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
+const DOUBLED: f64 = 1e-12;
+
+/// Pairs close to rank loss that share matrices.
+const RUN: usize = 16;
 
 /// Below this lambda_min(M), training rows of an ill-conditioned design may have lost rank.
 const DOUBTFUL: f64 = 1e-5;
@@ -50,21 +61,57 @@ const TASK: f64 = 1e9;
 /// Validated rows solved for together.
 const CARRIED: usize = 64;
 
-/// Held-out and validated data of every pair, and an order in which successive pairs share most of what they hold out.
+/// Held-out and validated data of pairs.
 pub struct Scheme<'a> {
-    /// Held-out data of each pair, increasing.
-    pub held: &'a Sets,
+    /// Held-out data of each pair.
+    pub held: Held<'a>,
     /// Validated data of each pair, a subset of those held out.
     pub validated: &'a Sets,
-    /// A permutation of the pairs.
+    /// The pairs to be visited, successive ones best near each other: they then share most of what they hold out.
     pub order: &'a [usize],
+}
+
+/// Data that pairs hold out.
+#[derive(Clone, Copy)]
+pub enum Held<'a> {
+    /// Listed.
+    Sets(&'a Sets),
+    /// Found around each datum when they are needed.
+    Around(&'a Around),
+}
+
+impl Held<'_> {
+    fn len(self) -> usize {
+        match self {
+            Self::Sets(sets) => sets.len(),
+            Self::Around(around) => around.own.len(),
+        }
+    }
+
+    /// About how many data a pair holds out.
+    fn mean(self) -> f64 {
+        match self {
+            Self::Sets(sets) => sets.items.len() as f64 / sets.len().max(1) as f64,
+            Self::Around(around) => around.mean,
+        }
+    }
+
+    fn members(self, pair: usize, out: &mut Vec<usize>) {
+        match self {
+            Self::Sets(sets) => {
+                out.clear();
+                out.extend_from_slice(sets.get(pair));
+            }
+            Self::Around(around) => around.members(pair, out),
+        }
+    }
 }
 
 /// What a scheme says of every model.
 pub struct Curve {
     /// Sum of squared weighted prediction residuals, one a model; NaN where a pair is undefined.
     pub squares: Vec<f64>,
-    /// By pair, how many of the models are defined.
+    /// How many of the models are defined, for each pair in the order of the visit.
     pub defined: Vec<usize>,
 }
 
@@ -87,8 +134,7 @@ pub struct Nested {
     reduced: Option<(Vec<f64>, Vec<f64>)>,
     /// Weighted responses, rows x responses.
     right: Vec<f64>,
-    /// `Q^T b`, responses x rank.
-    projection: Vec<f64>,
+    squares: OnceLock<Doubles>,
 }
 
 impl Nested {
@@ -99,6 +145,8 @@ impl Nested {
         let mut reduced = None;
         if factor.rank < problem.columns {
             kept = factor.independent_columns(pool)?;
+        }
+        if !kept.is_empty() && kept.len() < problem.columns {
             let parts = (
                 columns(problem.design, problem.columns, &kept),
                 columns(problem.penalty, problem.columns, &kept),
@@ -107,8 +155,7 @@ impl Nested {
             reduced = Some(parts);
         }
         let right = factor::weighted_responses(problem, factor.responses);
-        let projection = factor.project(&right, pool)?;
-        Ok(Self { factor, kept, reduced, right, projection })
+        Ok(Self { factor, kept, reduced, right, squares: OnceLock::new() })
     }
 
     /// How many of the independent columns are among the first ones of the design.
@@ -126,20 +173,18 @@ impl Nested {
         let cuts = self.cuts(sizes)?;
         let width = rank + sizes.len();
         let mut parts = vec![0.0; rows.div_ceil(ROWS) * width];
-        pool.run(
-            parts.chunks_exact_mut(width.max(1)).enumerate(),
-            || (),
-            |(), (block, part)| {
-                let (leverage, squares) = part.split_at_mut(rank);
-                for i in block * ROWS..rows.min((block + 1) * ROWS) {
-                    let q = self.factor.basis_row(i);
-                    leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
-                    for (b, c) in self.right_row(i).iter().zip(self.projection.chunks_exact(rank)) {
-                        curve(*b, q, c, &cuts, squares);
-                    }
+        pool.run(parts.chunks_exact_mut(width.max(1)).enumerate(), Sums::default, |sums, (block, part)| {
+            let (leverage, squares) = part.split_at_mut(rank);
+            for i in block * ROWS..rows.min((block + 1) * ROWS) {
+                let q = self.factor.basis_row(i);
+                leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
+                for (c, (b, e)) in self.right_row(i).iter().zip(self.factor.residual_row(i)).enumerate() {
+                    let projection = &self.factor.projection[c * rank..(c + 1) * rank];
+                    let q: &[[f64; 1]] = q.as_chunks().0;
+                    sums.add([*b], Some([*e]), q, projection, &cuts, squares);
                 }
-            },
-        )?;
+            }
+        })?;
         let mut sums = vec![0.0; width];
         for part in parts.chunks_exact(width.max(1)) {
             sums.iter_mut().zip(part).for_each(|(s, x)| *s += x);
@@ -151,6 +196,26 @@ impl Nested {
             rank: cut,
         };
         Ok(cuts.iter().zip(squares).map(fit).collect())
+    }
+
+    /// The coefficients of the model of the first `size` columns, size x responses, column-major; those of columns that add
+    /// no rank are zero.
+    pub fn coefficients(&self, size: usize) -> Vec<f64> {
+        let Factor { rank, .. } = self.factor;
+        let cut = self.kept.partition_point(|&column| column < size);
+        self.factor
+            .projection
+            .chunks_exact(rank.max(1))
+            .flat_map(|c| {
+                let mut x = c[..cut].to_vec();
+                linalg::solve_upper(&self.factor.triangle, rank, cut, &mut x, 1);
+                let mut all = vec![0.0; size];
+                for ((x, scale), &column) in x.iter().zip(&self.factor.scales).zip(&self.kept) {
+                    all[column] = x * scale;
+                }
+                all
+            })
+            .collect()
     }
 
     /// Cross-validates the models with these numbers of columns, increasing, by every scheme. Schemes with equal validated
@@ -178,21 +243,30 @@ impl Nested {
         pool.run(
             tasks.iter_mut(),
             || Workspace::new(&sweep),
-            |workspace, task| workspace.walk(&sweep, task),
+            |workspace, task| workspace.walk(&sweep, task, pool),
         )?;
         let mut found: Vec<Curve> = schemes
             .iter()
-            .map(|s| Curve { squares: vec![0.0; cuts.len()], defined: vec![cuts.len(); s.held.len()] })
+            .map(|s| Curve { squares: vec![0.0; cuts.len()], defined: vec![cuts.len(); s.order.len()] })
             .collect();
         let mut rest = Vec::new();
         for task in &tasks {
             for (&s, squares) in task.chain.iter().zip(task.squares.chunks_exact(cuts.len().max(1))) {
                 found[s].squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
             }
-            rest.extend_from_slice(&task.doubtful);
+            task.cut.iter().for_each(|&(s, step, defined)| found[s].defined[step] = defined);
+            rest.extend_from_slice(&task.close);
         }
-        sweep.rescue(problem, &rest, &mut found, pool)?;
+        sweep.rescue(problem, &mut rest, &mut found, pool)?;
         Ok(found)
+    }
+
+    /// `Q^T Q` in twice the digits, once some pair needs it.
+    fn squares(&self, pool: &Pool<'_>) -> Result<&Doubles, Error> {
+        if self.squares.get().is_none() {
+            drop(self.squares.set(doubled::squares(&self.factor.basis, self.factor.rank, pool)?));
+        }
+        self.squares.get().ok_or(Error::Interrupted)
     }
 
     fn right_row(&self, i: usize) -> &[f64] {
@@ -221,25 +295,65 @@ fn part<'a>(
     Problem { design, penalty, columns, ..*problem }
 }
 
-/// Adds the squared residuals of one right-hand side at every cut: `(b - sum_{j < cut} u_j v_j)^2`.
-fn curve(b: f64, u: &[f64], v: &[f64], cuts: &[usize], squares: &mut [f64]) {
-    let (mut rest, mut done) = (b, 0);
-    for (square, &cut) in squares.iter_mut().zip(cuts) {
-        for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
-            rest -= u * v;
+/// Residuals of every model, of N rows side by side.
+#[derive(Default)]
+struct Sums<const N: usize> {
+    /// By cut, residuals and the size of what they are a difference of.
+    forward: Vec<([f64; N], [f64; N])>,
+}
+
+impl<const N: usize> Sums<N> {
+    /// Adds the squares of `b - sum_{j < cut} u_j v_j` at every cut. Given the residual of the last model, the sums that come
+    /// from there are taken where they lose less.
+    fn add(
+        &mut self,
+        b: [f64; N],
+        last: Option<[f64; N]>,
+        u: &[[f64; N]],
+        v: &[f64],
+        cuts: &[usize],
+        squares: &mut [f64],
+    ) {
+        self.forward.clear();
+        let (mut rest, mut size, mut done) = (b, b.map(f64::abs), 0);
+        for &cut in cuts {
+            for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
+                for k in 0..N {
+                    rest[k] -= u[k] * v;
+                    size[k] = size[k].max(rest[k].abs());
+                }
+            }
+            done = cut;
+            self.forward.push((rest, size));
         }
-        done = cut;
-        *square += rest * rest;
+        let (mut rest, mut size, mut done) = match last {
+            Some(last) => (last, last.map(f64::abs), u.len()),
+            None => (rest, [f64::INFINITY; N], done),
+        };
+        for ((square, &cut), (forward, sizes)) in squares.iter_mut().zip(cuts).zip(&self.forward).rev() {
+            for (u, v) in u[cut..done].iter().zip(&v[cut..done]).rev() {
+                for k in 0..N {
+                    rest[k] += u[k] * v;
+                    size[k] = size[k].max(rest[k].abs());
+                }
+            }
+            done = cut;
+            for k in 0..N {
+                let better = if size[k] < sizes[k] { rest[k] } else { forward[k] };
+                *square += better * better;
+            }
+        }
     }
 }
 
 fn check(schemes: &[Scheme<'_>], rows: &Sets, bound: usize) -> Result<(), Error> {
     check_indices(rows, bound)?;
     for scheme in schemes {
-        check_indices(scheme.held, rows.len())?;
+        if let Held::Sets(held) = scheme.held {
+            check_indices(held, rows.len())?;
+        }
         check_indices(scheme.validated, rows.len())?;
         expect_length(scheme.validated.len(), scheme.held.len())?;
-        expect_length(scheme.order.len(), scheme.held.len())?;
         if let Some(&index) = scheme.order.iter().find(|&&pair| pair >= scheme.held.len()) {
             return Err(Error::Index { index, bound: scheme.held.len() });
         }
@@ -262,7 +376,7 @@ fn chains(schemes: &[Scheme<'_>]) -> Vec<Vec<usize>> {
         }
     }
     for chain in &mut chains {
-        chain.sort_by_key(|&s| schemes[s].held.items.len());
+        chain.sort_by(|&s, &t| schemes[s].held.mean().total_cmp(&schemes[t].held.mean()));
     }
     chains
 }
@@ -273,8 +387,19 @@ struct Task<'a> {
     steps: std::ops::Range<usize>,
     /// Chain x cuts.
     squares: Vec<f64>,
-    /// Scheme and pair of those too close to rank loss.
-    doubtful: Vec<(usize, usize)>,
+    /// Scheme, step, and number of defined models where these are not all.
+    cut: Vec<(usize, usize, usize)>,
+    /// Scheme and step of those close to rank loss.
+    close: Vec<(usize, usize)>,
+}
+
+/// How much of a pair's curve the closed form gives.
+enum Outcome {
+    All,
+    /// This many models are defined, and no more.
+    Leading(usize),
+    /// Too close to rank loss for this arithmetic.
+    Close,
 }
 
 /// What all tasks read.
@@ -291,12 +416,13 @@ impl Sweep<'_> {
     fn steps(&self, chain: &[usize]) -> usize {
         let p = self.nested.factor.rank as f64;
         let length = self.schemes[chain[0]].order.len().max(1);
-        let cost: f64 = chain
-            .iter()
-            .map(|&s| p * p * (p / 6.0 + self.schemes[s].held.items.len() as f64 / length as f64 / 4.0))
-            .sum();
+        let cost: f64 = chain.iter().map(|&s| p * p * (p / 6.0 + self.schemes[s].held.mean() / 4.0)).sum();
         let most = (TASK / cost.max(1.0)) as usize;
         (length / 32).clamp(8, STEPS).min(most).max(1)
+    }
+
+    fn rows_of(&self, data: &[usize]) -> Vec<usize> {
+        data.iter().flat_map(|&datum| self.rows.get(datum)).copied().collect()
     }
 
     fn task<'a>(&self, chain: &'a [usize], first: usize, last: usize) -> Task<'a> {
@@ -304,37 +430,52 @@ impl Sweep<'_> {
             chain,
             steps: first..last,
             squares: vec![0.0; chain.len() * self.cuts.len()],
-            doubtful: Vec::new(),
+            cut: Vec::new(),
+            close: Vec::new(),
         }
     }
 
-    /// Refits the pairs that the closed form left, each a task of its own: they cost far more than the others.
+    /// The pairs close to rank loss, in runs that share matrices.
     fn rescue(
         &self,
         problem: &Problem<'_>,
-        pairs: &[(usize, usize)],
+        steps: &mut [(usize, usize)],
         found: &mut [Curve],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
-        let problem = self.nested.independent(problem);
-        let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); pairs.len()];
+        if steps.is_empty() {
+            return Ok(());
+        }
+        steps.sort_unstable();
+        let factor = &self.nested.factor;
+        let squares = self.nested.squares(pool)?;
+        let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let failure = OnceLock::new();
-        pool.run(
-            pairs.iter().zip(&mut results),
-            || (Workspace::new(self), Refit::default()),
-            |(workspace, refit), (&(s, pair), result)| match workspace.refit(
-                self,
-                &problem,
-                refit,
-                (s, pair),
-                pool,
-            ) {
-                Ok(defined) => *result = (workspace.curve.clone(), defined),
-                Err(error) => drop(failure.set(error)),
-            },
-        )?;
-        for (&(s, pair), (squares, defined)) in pairs.iter().zip(&results) {
-            found[s].defined[pair] = *defined;
+        let workspace = || Rescue {
+            sweep: self,
+            problem: self.nested.independent(problem),
+            squares,
+            plain: Workspace::new(self),
+            last: Last::default(),
+            factor: DoubledFactor::default(),
+            refit: Refit::default(),
+            sums: Sums::default(),
+        };
+        pool.run(steps.chunks(RUN).zip(results.chunks_mut(RUN)), workspace, |rescue, (steps, results)| {
+            rescue.last.forget(self.rows.len());
+            rescue.last.gram.start(squares, factor.rank, factor.responses);
+            for (&(s, step), result) in steps.iter().zip(results) {
+                match rescue.solve((s, self.schemes[s].order[step]), pool) {
+                    Ok(defined) => *result = (rescue.plain.curve.clone(), defined),
+                    Err(error) => {
+                        let _ = failure.set(error);
+                        return;
+                    }
+                }
+            }
+        })?;
+        for (&(s, step), (squares, defined)) in steps.iter().zip(&results) {
+            found[s].defined[step] = *defined;
             found[s].squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
         }
         failure.into_inner().map_or(Ok(()), Err)
@@ -343,11 +484,26 @@ impl Sweep<'_> {
 
 /// The matrix of one scheme's last pair, and whose rows it left out.
 #[derive(Default)]
-struct Held {
-    gram: Gram,
+struct Last<G> {
+    gram: G,
     members: Vec<usize>,
     /// By datum, whether it is one of the members.
     inside: Vec<bool>,
+}
+
+impl<G> Last<G> {
+    /// Nothing is held out of `count` data.
+    fn forget(&mut self, count: usize) {
+        self.members.clear();
+        self.inside.clear();
+        self.inside.resize(count, false);
+    }
+
+    fn remember(&mut self, members: &[usize]) {
+        self.members.iter().for_each(|&datum| self.inside[datum] = false);
+        members.iter().for_each(|&datum| self.inside[datum] = true);
+        members.clone_into(&mut self.members);
+    }
 }
 
 /// How one set of data becomes another.
@@ -362,12 +518,12 @@ impl Change {
         self.added.len() + self.removed.len()
     }
 
-    /// From the members of `held` to those that bear the stamp `now`.
-    fn find(&mut self, held: &Held, members: &[usize], stamps: &[u32], now: u32) {
+    /// From the members of `last` to those that bear the stamp `now` or a later one.
+    fn find<G>(&mut self, last: &Last<G>, members: &[usize], stamps: &[u32], now: u32) {
         self.added.clear();
-        self.added.extend(members.iter().filter(|&&datum| !held.inside[datum]));
+        self.added.extend(members.iter().filter(|&&datum| !last.inside[datum]));
         self.removed.clear();
-        self.removed.extend(held.members.iter().filter(|&&datum| stamps[datum] != now));
+        self.removed.extend(last.members.iter().filter(|&&datum| stamps[datum] < now));
     }
 }
 
@@ -375,7 +531,9 @@ impl Change {
 struct Workspace {
     system: Bordered,
     /// One a scheme of the chain, and last an empty one.
-    held: Vec<Held>,
+    last: Vec<Last<Gram>>,
+    /// Data that the pair at hand holds out.
+    members: Vec<usize>,
     stamps: Vec<u32>,
     now: u32,
     slide: Change,
@@ -386,6 +544,8 @@ struct Workspace {
     /// Squared prediction residuals of the pair at hand, one a cut.
     curve: Vec<f64>,
     forward: Vec<f64>,
+    residual: Vec<f64>,
+    sums: Sums<8>,
     dual: Dual,
 }
 
@@ -393,7 +553,8 @@ impl Workspace {
     fn new(sweep: &Sweep<'_>) -> Self {
         Self {
             system: Bordered::default(),
-            held: Vec::new(),
+            last: Vec::new(),
+            members: Vec::new(),
             stamps: vec![0; sweep.rows.len()],
             now: 0,
             slide: Change::default(),
@@ -402,21 +563,27 @@ impl Workspace {
             validated: 0,
             curve: vec![0.0; sweep.cuts.len()],
             forward: Vec::new(),
+            residual: Vec::new(),
+            sums: Sums::default(),
             dual: Dual::default(),
         }
     }
 
     /// Goes through the steps of a task, all schemes of the chain at each.
-    fn walk(&mut self, sweep: &Sweep<'_>, task: &mut Task<'_>) {
+    fn walk(&mut self, sweep: &Sweep<'_>, task: &mut Task<'_>, pool: &Pool<'_>) {
         self.forget(sweep, task.chain.len());
         for step in task.steps.clone() {
             for (k, &s) in task.chain.iter().enumerate() {
                 let pair = sweep.schemes[s].order[step];
-                if self.solve(sweep, (s, pair), k) {
-                    let squares = &mut task.squares[k * self.curve.len()..(k + 1) * self.curve.len()];
+                let outcome = self.solve(sweep, (s, pair), k, pool);
+                let squares = &mut task.squares[k * self.curve.len()..(k + 1) * self.curve.len()];
+                if let Outcome::All | Outcome::Leading(_) = outcome {
                     squares.iter_mut().zip(&self.curve).for_each(|(sum, x)| *sum += x);
-                } else {
-                    task.doubtful.push((s, pair));
+                }
+                match outcome {
+                    Outcome::All => {}
+                    Outcome::Leading(defined) => task.cut.push((s, step, defined)),
+                    Outcome::Close => task.close.push((s, step)),
                 }
             }
         }
@@ -424,159 +591,237 @@ impl Workspace {
 
     /// Starts afresh: nothing is held out.
     fn forget(&mut self, sweep: &Sweep<'_>, schemes: usize) {
-        let Factor { rank, .. } = sweep.nested.factor;
-        self.held.resize_with(schemes.max(self.held.len()), Held::default);
-        for held in &mut self.held[..schemes] {
-            held.members.clear();
-            held.inside.clear();
-            held.inside.resize(sweep.rows.len(), false);
-            held.gram.start(rank, &sweep.nested.projection);
+        let Factor { rank, responses, .. } = sweep.nested.factor;
+        self.last.resize_with(schemes.max(self.last.len()), Last::default);
+        for last in &mut self.last[..schemes] {
+            last.forget(sweep.rows.len());
+            last.gram.start(rank, responses);
         }
     }
 
+    /// Lists what a pair holds out, and stamps it: validated data with a later stamp.
     fn gather(&mut self, sweep: &Sweep<'_>, (s, pair): (usize, usize)) {
-        let scheme = &sweep.schemes[s];
-        let validated = scheme.validated.get(pair);
+        let Scheme { held, validated, .. } = &sweep.schemes[s];
+        let validated = validated.get(pair);
+        held.members(pair, &mut self.members);
+        self.now += 2;
+        self.members.iter().for_each(|&datum| self.stamps[datum] = self.now);
+        validated.iter().for_each(|&datum| self.stamps[datum] = self.now + 1);
+        let others = self.members.iter().filter(|&&datum| self.stamps[datum] == self.now);
         self.rows.clear();
-        let mut skip = validated.iter().peekable();
-        for &datum in scheme.held.get(pair) {
-            if skip.next_if_eq(&&datum).is_none() {
-                self.rows.extend_from_slice(sweep.rows.get(datum));
-            }
-        }
+        self.rows.extend(others.flat_map(|&datum| sweep.rows.get(datum)));
         let others = self.rows.len();
-        for &datum in validated {
-            self.rows.extend_from_slice(sweep.rows.get(datum));
-        }
+        self.rows.extend(validated.iter().flat_map(|&datum| sweep.rows.get(datum)));
         self.validated = self.rows.len() - others;
     }
 
-    /// Fills the curve of a pair, the k-th of its chain; false if the pair is too close to rank loss.
-    fn solve(&mut self, sweep: &Sweep<'_>, pair: (usize, usize), k: usize) -> bool {
+    /// Fills the curve of a pair, the k-th of its chain.
+    fn solve(&mut self, sweep: &Sweep<'_>, pair: (usize, usize), k: usize, pool: &Pool<'_>) -> Outcome {
         let Nested { factor, .. } = sweep.nested;
         self.gather(sweep, pair);
         self.curve.fill(0.0);
-        if self.validated == 0 {
-            return factor.total_rows >= factor.rank + self.rows.len();
+        if self.rows.is_empty() {
+            return Outcome::All;
         }
         if factor.total_rows < factor.rank + self.rows.len() {
-            return false;
+            return Outcome::Close;
         }
-        let members = sweep.schemes[pair.0].held.get(pair.1);
-        self.now += 1;
-        members.iter().for_each(|&datum| self.stamps[datum] = self.now);
-        self.slide.find(&self.held[k], members, &self.stamps, self.now);
-        let ring = k > 0 && {
-            self.ring.find(&self.held[k - 1], members, &self.stamps, self.now);
-            self.ring.len() < self.slide.len()
+        let Self { members, stamps, now, last, slide, ring, .. } = self;
+        slide.find(&last[k], members, stamps, *now);
+        let inner = k > 0 && {
+            ring.find(&last[k - 1], members, stamps, *now);
+            ring.len() < slide.len()
         };
+        let changed = if inner { ring.len() } else { slide.len() }.min(members.len());
         let (q, p) = (self.rows.len() as f64, factor.rank as f64);
-        let changed =
-            self.slide.len().min(if ring { self.ring.len() } else { usize::MAX }).min(members.len());
         let rows = changed as f64 * q / members.len() as f64;
         if 4.0 * q * q * p <= p * p * (p / 6.0 + rows / 2.0 + 1.0)
             && self.dual.solve(sweep.nested, sweep.cuts, (&self.rows, self.validated), &mut self.curve)
         {
-            return true;
+            return Outcome::All;
         }
         self.curve.fill(0.0);
-        self.follow(sweep, members, k, ring);
-        self.primal(sweep, k)
+        self.follow(sweep, k, inner);
+        self.primal(sweep, k, pool)
     }
 
-    /// Turns the k-th matrix into that of these members, from the nearest that is known.
-    fn follow(&mut self, sweep: &Sweep<'_>, members: &[usize], k: usize, ring: bool) {
-        let Nested { factor, projection, .. } = sweep.nested;
-        let (before, rest) = self.held.split_at_mut(k);
-        let held = &mut rest[0];
-        let mut change = if ring { &mut self.ring } else { &mut self.slide };
+    /// Turns the k-th matrix into that of the pair at hand, from the nearest that is known.
+    fn follow(&mut self, sweep: &Sweep<'_>, k: usize, inner: bool) {
+        let Nested { factor, .. } = sweep.nested;
+        let Self { last, members, slide, ring, .. } = self;
+        let (before, rest) = last.split_at_mut(k);
+        let last = &mut rest[0];
+        let change = if inner { ring } else { slide };
         if change.len() > members.len() {
-            held.gram.start(factor.rank, projection);
-            change = &mut self.slide;
+            last.gram.start(factor.rank, factor.responses);
             change.removed.clear();
-            change.added.clear();
-            change.added.extend_from_slice(members);
-        } else if ring {
-            held.gram.copy_from(&before[k - 1].gram);
+            change.added.clone_from(members);
+        } else if inner {
+            last.gram.copy_from(&before[k - 1].gram);
         }
-        let fetch = |i: usize| (factor.basis_row(i), sweep.nested.right_row(i));
-        let rows = |data: &[usize]| -> Vec<usize> {
-            data.iter().flat_map(|&d| sweep.rows.get(d)).copied().collect()
-        };
-        held.gram.remove(&rows(&change.added), fetch);
-        held.gram.restore(&rows(&change.removed), fetch);
-        held.members.iter().for_each(|&datum| held.inside[datum] = false);
-        members.iter().for_each(|&datum| held.inside[datum] = true);
-        held.members.clear();
-        held.members.extend_from_slice(members);
+        let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
+        last.gram.remove(&sweep.rows_of(&change.added), fetch);
+        last.gram.restore(&sweep.rows_of(&change.removed), fetch);
+        last.remember(members);
     }
 
-    fn primal(&mut self, sweep: &Sweep<'_>, k: usize) -> bool {
+    fn primal(&mut self, sweep: &Sweep<'_>, k: usize, pool: &Pool<'_>) -> Outcome {
         let Nested { factor, .. } = sweep.nested;
         let (rank, responses) = (factor.rank, factor.responses);
-        self.system.start_from(&self.held[k].gram, PROBES);
+        self.system.start_from(&self.last[k].gram, PROBES);
         for probe in 0..PROBES {
             for j in 0..rank {
                 *self.system.entry(rank + responses + probe, j) = sign(probe, j);
             }
         }
-        let certain =
-            factor.least * (SAFE / 100.0).sqrt() > factor.tolerance * (factor.columns as f64).sqrt();
-        if least_eigenvalue(&mut self.system, rank, responses) < if certain { SAFE } else { DOUBTFUL } {
-            return false;
+        let least = least_eigenvalue(&mut self.system, rank, responses);
+        if least < SAFE {
+            return Outcome::Close;
         }
-        let Self { system, rows, validated, curve, forward, .. } = self;
+        let Self { system, rows, validated, curve, forward, residual, sums, .. } = self;
         for rows in rows[rows.len() - *validated..].chunks(CARRIED) {
             for c in 0..responses {
-                system.forward_row(c, forward);
+                system.forward_row(c, residual);
+                forward.clone_from(residual);
+                system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
                 let carried = system.carry(rows.iter().map(|&i| factor.basis_row(i)));
-                for (panel, rows) in carried.chunks_exact(rank).zip(rows.chunks(8)) {
-                    let b = std::array::from_fn(|lane| {
-                        rows.get(lane).map_or(0.0, |&i| sweep.nested.right_row(i)[c])
-                    });
-                    curves(b, panel, forward, sweep.cuts, curve);
+                for (panel, rows) in carried.chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
+                    let mut last = [0.0; 8];
+                    for (u, y) in panel.iter().zip(&*residual) {
+                        last.iter_mut().zip(u).for_each(|(last, u)| *last -= u * y);
+                    }
+                    let mut b = [0.0; 8];
+                    for (k, &i) in rows.iter().enumerate() {
+                        b[k] = sweep.nested.right_row(i)[c];
+                        last[k] += factor.residual_row(i)[c];
+                    }
+                    sums.add(b, Some(last), panel, forward, sweep.cuts, curve);
                 }
             }
         }
-        true
+        if least > DOUBTFUL { Outcome::All } else { self.cut(sweep, &self.system.upper(), pool) }
     }
 
-    /// Fills the curve of a pair from its training rows, and tells how many of the models are defined.
-    fn refit(
-        &mut self,
-        sweep: &Sweep<'_>,
-        problem: &Problem<'_>,
-        refit: &mut Refit,
-        pair: (usize, usize),
-        pool: &Pool<'_>,
-    ) -> Result<usize, Error> {
-        let Nested { factor, .. } = sweep.nested;
-        self.gather(sweep, pair);
-        let leading = refit.lead(factor, problem, pool, &self.rows)?;
-        let defined = sweep.cuts.partition_point(|&cut| cut <= leading);
-        self.curve[..defined].fill(0.0);
-        self.curve[defined..].fill(f64::NAN);
-        for &i in &self.rows[self.rows.len() - self.validated..] {
-            for c in 0..factor.responses {
-                let (b, u, v) = refit.forward(factor, problem, i, c, leading)?;
-                curve(b, u, v, &sweep.cuts[..defined], &mut self.curve);
-            }
+    /// Which models the training rows determine, by their triangle `L^T R`, given L^T.
+    fn cut(&mut self, sweep: &Sweep<'_>, upper: &[f64], pool: &Pool<'_>) -> Outcome {
+        let factor = &sweep.nested.factor;
+        let (rank, cuts) = (factor.rank, sweep.cuts);
+        let lost = factor.tolerance * (rank as f64).sqrt();
+        let safe = (0..PROBES).all(|probe| {
+            let mut x: Vec<f64> = (0..rank).map(|j| sign(probe, j)).collect();
+            linalg::solve_upper(upper, rank, rank, &mut x, 1);
+            linalg::solve_upper(&factor.triangle, rank, rank, &mut x, 1);
+            // An estimate of the inverse's norm, give or take a factor of ten.
+            10.0 * lost * dot(&x, &x).sqrt() < 1.0
+        });
+        if safe {
+            return Outcome::All;
         }
-        Ok(defined)
+        let triangle = linalg::product(upper, &factor.triangle, rank, rank, rank);
+        match factor::leading_rank(&triangle, rank, factor.tolerance, pool) {
+            Ok(count) if count == rank => Outcome::All,
+            Ok(count) => {
+                let defined = cuts.partition_point(|&cut| cut <= count);
+                self.curve[defined..].fill(f64::NAN);
+                Outcome::Leading(defined)
+            }
+            Err(_) => Outcome::Close,
+        }
     }
 }
 
-/// As [`curve`], for eight rows side by side.
-fn curves(b: [f64; 8], u: &[[f64; 8]], v: &[f64], cuts: &[usize], squares: &mut [f64]) {
-    let (mut rest, mut done) = (b, 0);
-    for (square, &cut) in squares.iter_mut().zip(cuts) {
-        for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
-            for (rest, u) in rest.iter_mut().zip(u) {
-                *rest -= u * v;
+/// What a thread needs for pairs close to rank loss.
+struct Rescue<'a> {
+    sweep: &'a Sweep<'a>,
+    problem: Problem<'a>,
+    squares: &'a Doubles,
+    plain: Workspace,
+    last: Last<DoubledGram>,
+    factor: DoubledFactor,
+    refit: Refit,
+    sums: Sums<1>,
+}
+
+impl Rescue<'_> {
+    /// Fills the curve of a pair, and tells how many of the models are defined.
+    fn solve(&mut self, pair: (usize, usize), pool: &Pool<'_>) -> Result<usize, Error> {
+        let factor = &self.sweep.nested.factor;
+        self.plain.gather(self.sweep, pair);
+        self.plain.curve.fill(0.0);
+        let enough = factor.total_rows >= factor.rank + self.plain.rows.len();
+        if enough && self.doubled() >= DOUBLED {
+            match self.plain.cut(self.sweep, &self.factor.upper(), pool) {
+                Outcome::All => return Ok(self.sweep.cuts.len()),
+                Outcome::Leading(defined) => return Ok(defined),
+                Outcome::Close => pool.proceed()?,
             }
         }
-        done = cut;
-        *square += dot(&rest, &rest);
+        self.refitted(pool)
+    }
+
+    /// As `Workspace::primal`, with twice the digits; an estimate of lambda_min(M).
+    fn doubled(&mut self) -> f64 {
+        let Sweep { nested: Nested { factor, right, .. }, cuts, .. } = *self.sweep;
+        let (rank, responses) = (factor.rank, factor.responses);
+        self.follow();
+        let smallest = self.factor.factor(&self.last.gram);
+        if smallest < DOUBLED {
+            return 0.0;
+        }
+        let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
+        let forward = self.factor.forward(&signs, 0).0;
+        let grown = dot(forward, forward) - 10.0 * rank as f64;
+        let Workspace { rows, validated, curve, forward, .. } = &mut self.plain;
+        for c in 0..responses {
+            self.factor.projection(c, &factor.projection[c * rank..(c + 1) * rank], forward);
+            for &i in &rows[rows.len() - *validated..] {
+                let (u, change) = self.factor.forward(factor.basis_row(i), c);
+                let last = factor.residual_row(i)[c] - change;
+                self.sums.add(
+                    [right[i * responses + c]],
+                    Some([last]),
+                    u.as_chunks().0,
+                    forward,
+                    cuts,
+                    curve,
+                );
+            }
+        }
+        if grown > 0.0 { smallest.min(grown.recip()) } else { smallest }
+    }
+
+    /// Turns the matrix into that of the pair at hand.
+    fn follow(&mut self) {
+        let Self { sweep, plain, last, squares, .. } = self;
+        let factor = &sweep.nested.factor;
+        let Workspace { members, stamps, now, slide, .. } = plain;
+        slide.find(last, members, stamps, *now);
+        if slide.len() > members.len() {
+            last.gram.start(squares, factor.rank, factor.responses);
+            slide.removed.clear();
+            slide.added.clone_from(members);
+        }
+        let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
+        last.gram.change(&sweep.rows_of(&slide.added), -1.0, fetch);
+        last.gram.change(&sweep.rows_of(&slide.removed), 1.0, fetch);
+        last.remember(members);
+    }
+
+    /// From the training rows themselves.
+    fn refitted(&mut self, pool: &Pool<'_>) -> Result<usize, Error> {
+        let Self { sweep, problem, plain, refit, .. } = self;
+        let factor = &sweep.nested.factor;
+        let leading = refit.lead(factor, problem, pool, &plain.rows)?;
+        let defined = sweep.cuts.partition_point(|&cut| cut <= leading);
+        plain.curve[..defined].fill(0.0);
+        plain.curve[defined..].fill(f64::NAN);
+        for &i in &plain.rows[plain.rows.len() - plain.validated..] {
+            for c in 0..factor.responses {
+                let (b, u, v) = refit.forward(factor, problem, i, c, leading)?;
+                self.sums.add([b], None, u.as_chunks().0, v, &sweep.cuts[..defined], &mut plain.curve);
+            }
+        }
+        Ok(defined)
     }
 }
 
@@ -606,7 +851,7 @@ impl Dual {
         let first = q - validated;
         let mut done = 0;
         for (square, &cut) in squares.iter_mut().zip(cuts) {
-            if !(done..cut).all(|j| self.column(j, q, nested.projection.chunks_exact(rank))) {
+            if !(done..cut).all(|j| self.column(j, q, nested.factor.projection.chunks_exact(rank.max(1)))) {
                 return false;
             }
             done = cut;
@@ -625,11 +870,9 @@ impl Dual {
         self.inverse.resize(q * q, 0.0);
         for (k, &row) in rows.iter().enumerate() {
             self.inverse[k * (q + 1)] = 1.0;
-            self.columns[k..]
-                .iter_mut()
-                .step_by(q)
-                .zip(nested.factor.basis_row(row))
-                .for_each(|(x, q)| *x = *q);
+            for (j, x) in nested.factor.basis_row(row).iter().enumerate() {
+                self.columns[j * q + k] = *x;
+            }
             self.residuals[k..].iter_mut().step_by(q).zip(nested.right_row(row)).for_each(|(e, b)| *e = *b);
         }
     }
@@ -659,7 +902,7 @@ impl Dual {
     /// Whether `S e` is not what it must be, e_K of the last model: a direct check of all the updates.
     fn drifted(&self, nested: &Nested, rows: &[usize], rank: usize) -> bool {
         let q = rows.len();
-        let projections = nested.projection.chunks_exact(nested.factor.rank);
+        let projections = nested.factor.projection.chunks_exact(nested.factor.rank.max(1));
         self.residuals.chunks_exact(q).zip(projections).enumerate().any(|(c, (e, projection))| {
             let turned: Vec<f64> =
                 self.columns.chunks_exact(q).take(rank).map(|column| dot(column, e)).collect();

@@ -277,6 +277,13 @@ impl Nested {
         })
     }
 
+    /// The coefficients of the model of the first columns.
+    fn coefficients<'py>(&self, py: Python<'py>, size: usize) -> PyResult<Array2<'py, f64>> {
+        let transposed = self.models.coefficients(size);
+        let responses = transposed.len() / size.max(1);
+        table(py, transposed, responses, size)?.transpose()
+    }
+
     /// (squares, parameters, ranks) of the fits with these numbers of columns.
     fn fits<'py>(
         &self,
@@ -293,23 +300,22 @@ impl Nested {
         ))
     }
 
-    /// (squares by size, number of sizes that are defined by pair) of each scheme, given as (held, validated, order).
+    /// (squares by size, number of sizes that are defined by pair) of each scheme, given as what is held out, what is
+    /// validated, and the pairs to be visited. Without validated sets it is each datum alone.
     fn curves<'py>(
         &self,
         py: Python<'py>,
-        schemes: Vec<(ReadSets<'py>, ReadSets<'py>, PyReadonlyArray1<'py, i64>)>,
+        schemes: Vec<(HeldOut<'py>, PyReadonlyArray1<'py, i64>)>,
         rows: ReadSets<'py>,
         sizes: PyReadonlyArray1<'py, i64>,
         threads: usize,
     ) -> PyResult<Vec<(Array1<'py, f64>, Array1<'py, i64>)>> {
         let lists = schemes
             .iter()
-            .map(|(held, validated, order)| {
-                Ok((sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, numbers(order)?))
-            })
+            .map(|(held, order)| Ok((held.read()?, numbers(order)?)))
             .collect::<PyResult<Vec<_>>>()?;
         let schemes: Vec<nested::Scheme<'_>> =
-            lists.iter().map(|(held, validated, order)| nested::Scheme { held, validated, order }).collect();
+            lists.iter().map(|(listing, order)| listing.scheme(order)).collect();
         let (rows, sizes) = (sets(&rows.0, &rows.1)?, numbers(&sizes)?);
         let weights = self.root_weights.as_ref().map(|w| w.bind(py));
         let arrays =
@@ -322,6 +328,67 @@ impl Nested {
             .into_iter()
             .map(|curve| (PyArray1::from_vec(py, curve.squares), indices(py, &curve.defined)))
             .collect())
+    }
+}
+
+/// Neighbourhoods that are found when they are needed.
+#[pyclass(frozen, module = "mexpress._core")]
+struct Around(neighbours::Around);
+
+#[pymethods]
+impl Around {
+    #[staticmethod]
+    fn within(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, radius: f64) -> PyResult<Self> {
+        let (dimension, points) = (points.shape()[1], matrix(&points)?);
+        Ok(Self(py.detach(|| neighbours::Around::within(points, dimension, radius))?))
+    }
+
+    #[staticmethod]
+    fn nearest(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, k: usize) -> PyResult<Self> {
+        let (dimension, points) = (points.shape()[1], matrix(&points)?);
+        Ok(Self(py.detach(|| neighbours::Around::nearest(points, dimension, k))?))
+    }
+
+    #[getter]
+    fn mean(&self) -> f64 {
+        self.0.mean
+    }
+}
+
+/// What pairs hold out: listed sets with the validated ones, or neighbourhoods of data that are validated alone.
+#[derive(FromPyObject)]
+enum HeldOut<'py> {
+    Listed(ReadSets<'py>, ReadSets<'py>),
+    #[pyo3(transparent)]
+    Around(PyRef<'py, Around>),
+}
+
+enum Listing<'a> {
+    Sets(Sets, Sets),
+    Around(&'a neighbours::Around),
+}
+
+impl HeldOut<'_> {
+    fn read(&self) -> PyResult<Listing<'_>> {
+        match self {
+            Self::Listed(held, validated) => {
+                Ok(Listing::Sets(sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?))
+            }
+            Self::Around(around) => Ok(Listing::Around(&around.0)),
+        }
+    }
+}
+
+impl Listing<'_> {
+    fn scheme<'a>(&'a self, order: &'a [usize]) -> nested::Scheme<'a> {
+        match self {
+            Self::Sets(held, validated) => {
+                nested::Scheme { held: nested::Held::Sets(held), validated, order }
+            }
+            Self::Around(around) => {
+                nested::Scheme { held: nested::Held::Around(around), validated: &around.own, order }
+            }
+        }
     }
 }
 
@@ -407,12 +474,32 @@ fn lloyd<'py>(
     table(py, centres, count, 2)
 }
 
+/// The data that become control points, in the order of their arrival.
+#[pyfunction]
+fn arrival<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    values: PyReadonlyArray2<'py, f64>,
+    first: [usize; 3],
+    max_count: usize,
+    min_distance: f64,
+    threads: usize,
+) -> PyResult<Array1<'py, i64>> {
+    let count = max_count.min(points.shape()[0]);
+    let cost = 2.0 * points.shape()[0] as f64 * (count as f64).powi(2);
+    let (points, values) = (matrix(&points)?, matrix(&values)?);
+    let chosen = interruptible(py, cost, threads, |pool| {
+        crate::arrival::arrival(points, values, first, max_count, min_distance, pool)
+    })?;
+    Ok(indices(py, &chosen))
+}
+
 /// The Rust core of mexpress.
 #[pymodule(gil_used = false)]
 mod _core {
     #[pymodule_export]
     use super::{
-        Factor, Nested, along_curve, find_not_finite, lloyd, neighbours_delaunay, neighbours_nearest,
-        neighbours_within,
+        Around, Factor, Nested, along_curve, arrival, find_not_finite, lloyd, neighbours_delaunay,
+        neighbours_nearest, neighbours_within,
     };
 }

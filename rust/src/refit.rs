@@ -7,7 +7,7 @@
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::{Factor, Problem, first_deficient, numerical_rank};
+use crate::factor::{Factor, Problem, leading_rank, numerical_rank};
 use crate::holdout::Status;
 use crate::linalg::{self, QrScratch, dot};
 use crate::pool::Pool;
@@ -162,31 +162,12 @@ impl Refit {
         let reduced = self.triangle(factor, problem, pool, self.height, width);
         rows.iter().for_each(|&i| self.held[i] = false);
         reduced?;
-        // A diagonal entry bounds the least singular value, the longest column the largest: most losses show without a
-        // decomposition.
-        let longest = (0..rank).map(|j| self.column(j, j + 1)).map(|c| dot(c, c).sqrt()).fold(0.0, f64::max);
-        let vanishing = |&j: &usize| self.column(j, j + 1)[j].abs() <= factor.tolerance * longest;
-        let certain = (0..rank).find(vanishing).unwrap_or(rank);
-        let first = first_deficient(certain, |count| self.determined(factor, count, pool))?;
-        Ok(first.map_or(certain, |count| count - 1))
+        let triangle: Vec<f64> = (0..rank).flat_map(|j| self.column(j, rank)).copied().collect();
+        leading_rank(&triangle, rank, factor.tolerance, pool)
     }
 
     fn column(&self, j: usize, kept: usize) -> &[f64] {
         &self.block[j * self.height..j * self.height + kept]
-    }
-
-    /// Whether the training rows determine the model of the first `count` columns.
-    fn determined(&self, factor: &Factor, count: usize, pool: &Pool<'_>) -> Result<bool, Error> {
-        let mut r = vec![0.0; count * count];
-        for (j, column) in r.chunks_exact_mut(count.max(1)).enumerate() {
-            column[..=j].copy_from_slice(self.column(j, j + 1));
-        }
-        let bound = linalg::inverse_norm(&r, count).recip();
-        if count == 0 || bound > 2.0 * factor.tolerance * (count as f64).sqrt() {
-            return Ok(true);
-        }
-        let values = linalg::thin_svd(r, count, count, pool)?.s;
-        Ok(numerical_rank(&values, factor.tolerance) == count)
     }
 
     /// After `lead`: a response of row `i`, and the forward solves of the row and of this response's projection.

@@ -1,0 +1,316 @@
+"""Depth maps and point clouds as people have them: images, numpy's archives, text, PLY.
+
+Examples
+--------
+>>> import tempfile
+>>> with tempfile.TemporaryDirectory() as folder:
+...     np.save(f"{folder}/depth.npy", np.ones((6, 8)))
+...     read_cloud(f"{folder}/depth.npy")
+Cloud(48 of 48 data, depth, 8 x 6 pixels)
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.images import read_image
+from mexpress.tables import ARCHIVES, read_arrays, read_text
+
+__all__ = ["Cloud", "read_cloud"]
+
+_IMAGES = {".png", ".tif", ".tiff", ".pgm"}
+_UNITS_PER_METRE = 1000.0
+_LAYOUTS = (("u", "v", "x", "y", "z"), ("x", "y", "z"))
+_PAIRS = (("points", "values"), ("uv", "points3d"))
+_TRIANGLES = {"face": {"vertex_indices": 3, "vertex_index": 3}}
+_SMALLEST_MAP = 6
+"""Arrays with fewer rows or columns are depth maps only if they are called so: they look like points."""
+
+_FEWEST = 4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Cloud:
+    """Data that a surface can be fitted to.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Where the data are in the domain: pixels (column, row) of a depth map, else x, y or u, v.
+    values : array_like, (n,) or (n, d)
+        Depths, or points that the surface passes by.
+    image_size : (width, height) or None
+        Of the depth map in pixels.
+    n_valid : int
+        Number of data in the file, of which these are all or a sample.
+    n_missing : int
+        Number of pixels or points in the file that had no measurement.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes do not fit, or an entry is not finite.
+
+    Examples
+    --------
+    >>> Cloud([[0, 0], [1, 0], [0, 1], [1, 1]], [1.0, 2.0, 3.0, 4.0], None, 100)
+    Cloud(4 of 100 data, depth)
+    """
+
+    points: Floats
+    values: Floats
+    image_size: tuple[float, float] | None
+    n_valid: int
+    n_missing: int = 0
+
+    def __post_init__(self) -> None:
+        points = check.points(self.points, "points")
+        checked = {
+            "points": points,
+            "values": check.columns(self.values, "values", len(points)),
+            "image_size": check.image_size(self.image_size),
+            "n_valid": check.count(self.n_valid, "n_valid", len(points)),
+            "n_missing": check.count(self.n_missing, "n_missing", 0),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        kind = "depth" if self.values.ndim == 1 else f"values in R^{self.values.shape[1]}"
+        size = "" if self.image_size is None else ", {:.0f} x {:.0f} pixels".format(*self.image_size)
+        return f"Cloud({len(self.points)} of {self.n_valid} data, {kind}{size})"
+
+
+class _Map(NamedTuple):
+    """A depth map, of whole numbers or not, and what its numbers mean."""
+
+    raw: NDArray[Any]
+    scale: float
+    intrinsics: tuple[float, float, float, float] | None = None
+
+    @property
+    def total(self) -> int:
+        return self.raw.size
+
+    @property
+    def image_size(self) -> tuple[float, float]:
+        return self.raw.shape[1], self.raw.shape[0]
+
+    def valid(self) -> Integers:
+        raw = self.raw.ravel()
+        if raw.dtype.kind != "f":
+            return np.flatnonzero(raw)
+        return np.flatnonzero(np.isfinite(raw) & ((raw != 0) | (self.intrinsics is None)))
+
+    def data(self, chosen: Integers) -> tuple[Floats, Floats]:
+        row, column = np.divmod(chosen, self.raw.shape[1])
+        points = np.column_stack([column, row]).astype(np.float64)
+        with np.errstate(over="ignore"):
+            depth = self.raw.ravel()[chosen].astype(np.float64) / self.scale
+            if self.intrinsics is None:
+                return points, depth
+            fx, fy, cx, cy = self.intrinsics
+            return points, np.column_stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth])
+
+
+class _Points(NamedTuple):
+    """Points of the domain and their values, not finite where missing."""
+
+    points: Floats
+    values: Floats
+    image_size: None = None
+
+    @property
+    def total(self) -> int:
+        return len(self.points)
+
+    def valid(self) -> Integers:
+        return np.flatnonzero(np.isfinite(np.column_stack([self.points, self.values])).all(axis=1))
+
+    def data(self, chosen: Integers) -> tuple[Floats, Floats]:
+        return self.points[chosen], self.values[chosen]
+
+
+def read_cloud(
+    path: str | os.PathLike[str],
+    scale: float | None = None,
+    intrinsics: Sequence[float] | None = None,
+    max_data: int | None = 10_000,
+    seed: int | np.random.Generator | None = 0,
+) -> Cloud:
+    """Read a depth map or a point cloud.
+
+    Parameters
+    ----------
+    path : str or path
+        The ending tells what it is.
+
+        * `.png`, `.tif`, `.tiff`, `.pgm`: a depth map, a number per pixel.
+        * `.npy`: an (n, 3) array x y z, an (n, 5) array u v x y z, or another 2-D array, from 6 x 6 on, which is
+          a depth map.
+        * `.npz`: arrays `points` (n, 2) and `values`, (n,) or (n, d), or `uv` and `points3d`; or a depth map
+          called `depth`; or one array as in `.npy`, called `points` if there are others besides single numbers.
+        * `.ply`: the vertices' x y z, whatever else there is.
+        * Any other ending: text, a datum per line, x y z or u v x y z, as `read_matches` reads it.
+
+        A depth map gives data at its pixels, x the column and y the row, from 0; x y z is a depth z at x, y;
+        u v x y z is a point of space for each point of the domain.
+
+        Missing are NaN and infinite numbers, and 0 in a depth map of whole numbers. In one of floats 0 is a
+        value, since NaN can say that there is none (``np.where(depth == 0, np.nan, depth)``), unless there are
+        intrinsics: no camera sees a point at its own centre.
+    scale : float, optional
+        Units of a depth map's numbers per metre, or per the unit that is wanted: 5000 for the TUM sets. By
+        default 1000 for images of whole numbers, which mostly have millimetres, otherwise 1.
+    intrinsics : (fx, fy, cx, cy), optional
+        Focal lengths and principal point, in pixels, of the camera that took the depth map. The values are
+        then the (n, 3) points of space in the camera's frame; the domain is still the image.
+    max_data : int or None
+        Largest number of data; of more, so many are drawn, all alike likely, and kept in their order. None
+        keeps all.
+    seed : int, Generator or None
+        Of the draw: the same number gives the same data, None fresh ones.
+
+    Returns
+    -------
+    Cloud
+        Four data or more.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the file is damaged or no such data, fewer than four are valid, or an option is wrong.
+    ImportError
+        If the file needs an extra that is not installed.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     depth = np.full((6, 8), 2000, np.uint16)
+    ...     depth[0] = 0
+    ...     np.savez(f"{folder}/scan.npz", depth=depth)
+    ...     cloud = read_cloud(f"{folder}/scan.npz", scale=1000, intrinsics=(4, 4, 3.5, 2.5), max_data=30)
+    >>> cloud, cloud.n_missing
+    (Cloud(30 of 40 data, values in R^3, 8 x 6 pixels), 8)
+    >>> cloud.points[:1], cloud.values[:1]
+    (array([[0., 1.]]), array([[-1.75, -0.75,  2.  ]]))
+    """
+    path = Path(path)
+    scale = None if scale is None else check.positive(scale, "scale")
+    camera = check.intrinsics(intrinsics)
+    most = None if max_data is None else check.count(max_data, "max_data", _FEWEST)
+    random = check.generator(seed)
+    source = _calibrated(_read(path), scale, camera, path)
+    valid = source.valid()
+    if len(valid) < _FEWEST:
+        rule = f"It must have {_FEWEST} data or more that are not missing."
+        check.refuse("cloud", rule, f"{len(valid)} of {source.total} in {path.name}")
+    chosen = valid
+    if most is not None and most < len(valid):
+        chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
+    return Cloud(*source.data(chosen), source.image_size, len(valid), source.total - len(valid))
+
+
+def _calibrated(
+    source: _Map | _Points,
+    scale: float | None,
+    intrinsics: tuple[float, float, float, float] | None,
+    path: Path,
+) -> _Map | _Points:
+    if isinstance(source, _Map):
+        return _Map(source.raw, scale or source.scale, intrinsics)
+    for name, value in (("scale", scale), ("intrinsics", intrinsics)):
+        if value is not None:
+            check.refuse(name, "It belongs to a depth map.", f"{value} for the points in {path.name}")
+    return source
+
+
+def _read(path: Path) -> _Map | _Points:
+    ending = path.suffix.lower()
+    if ending in _IMAGES:
+        return _depth_map(read_image(path, "cloud"), path, _UNITS_PER_METRE)
+    if ending in ARCHIVES:
+        return _from_archive(path)
+    if ending == ".ply":
+        return _from_columns(_read_ply(path), path)
+    return _from_columns(read_text(path, "cloud", _LAYOUTS, missing=True), path)
+
+
+def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
+    rule = "A depth map must have rows and columns, with a real number at each pixel."
+    raw = check.array(raw, "cloud", rule, "iuf")
+    if raw.ndim != 2:
+        check.refuse("cloud", rule, f"shape {raw.shape} in {path.name}")
+    return _Map(raw, 1.0 if raw.dtype.kind == "f" else units)
+
+
+def _from_archive(path: Path) -> _Map | _Points:
+    arrays = read_arrays(path, "cloud")
+    for points, values in _PAIRS:
+        if {points, values} <= arrays.keys():
+            return _pair(arrays[points], arrays[values], points, values)
+    if "depth" in arrays:
+        return _depth_map(arrays["depth"], path)
+    if "points" in arrays:
+        return _from_columns(arrays["points"], path)
+    tables = [array for array in arrays.values() if array.ndim > 0]
+    if len(tables) != 1:
+        rule = "An archive must hold points and values, depth, or one array of x y z or u v x y z."
+        there = ", ".join(f"{key} {arrays[key].shape}" for key in arrays) or "no arrays"
+        check.refuse("cloud", rule, f"{there} in {path.name}")
+    if tables[0].ndim == 2 and min(tables[0].shape) < _SMALLEST_MAP:
+        return _from_columns(tables[0], path)
+    return _depth_map(tables[0], path)
+
+
+def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_name: str) -> _Points:
+    points, values = check.real(points, points_name), check.real(values, values_name)
+    if points.ndim != 2 or points.shape[1] != 2:
+        check.refuse(points_name, "It must be points of shape (n, 2).", f"shape {points.shape}")
+    if values.ndim not in (1, 2) or len(values) != len(points) or 0 in values.shape[1:]:
+        rule = f"It must have shape ({len(points)},) or ({len(points)}, d)."
+        check.refuse(values_name, rule, f"shape {values.shape}")
+    return _Points(points, values)
+
+
+def _from_columns(array: NDArray[Any], path: Path) -> _Points:
+    table = check.real(array, "cloud")
+    if table.ndim != 2 or table.shape[1] not in (3, 5):
+        rule = "Points must have 3 columns (x, y, z) or 5 (u, v, x, y, z)."
+        check.refuse("cloud", rule, f"shape {table.shape} in {path.name}")
+    return _Points(table[:, :2], table[:, 2] if table.shape[1] == 3 else table[:, 2:])
+
+
+def _read_ply(path: Path) -> Floats:
+    ply = _parse_ply(path)
+    names = ply["vertex"].data.dtype.names if "vertex" in ply else ()
+    if not set("xyz") <= set(names):
+        there = ", ".join(names) or "no vertices"
+        check.refuse("cloud", "A PLY file must have vertices with x, y and z.", f"{there} in {path.name}")
+    return np.column_stack([check.real(ply["vertex"][name], name) for name in "xyz"])
+
+
+def _parse_ply(path: Path) -> Any:
+    try:
+        from plyfile import PlyData  # noqa: PLC0415  an extra, imported where used
+    except ImportError as error:
+        raise ImportError("Reading PLY files needs plyfile: pip install 'mexpress[ply]'") from error
+    # Faces are read one by one, a thousand times slower, unless their number of corners is told.
+    for corners in (_TRIANGLES, {}):
+        try:
+            return PlyData.read(str(path), known_list_len=corners)
+        except OSError:
+            raise
+        except Exception as error:  # damaged bytes raise whatever the reader meets first
+            failure = error
+    check.refuse("cloud", "It must be a PLY file.", f"{path.name}: {failure}")

@@ -1,0 +1,470 @@
+"""Surfaces: thin-plate splines fitted to depths, or to points in space, over a region of the plane.
+
+Examples
+--------
+>>> import mexpress as mx
+>>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+>>> surface = mx.fit_surface(square, [0, 2, 2, 5], square)
+>>> surface([[1, 1]]).round(6)
+array([2.25])
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mexpress import _validation as check
+from mexpress import files, meshes
+from mexpress._validation import Floats, Integers
+from mexpress.liftings import ThinPlateSpline, evaluate, slopes
+from mexpress.placement import covered_region
+
+__all__ = ["Surface", "SurfaceGrid"]
+
+_SAMPLES = 10_000
+"""About how many samples of a grid are inside the domain unless the user says otherwise."""
+
+_MOST_SAMPLES = 10**7
+"""More samples of a grid, inside the domain or not, are taken for a mistake."""
+
+_SLACK = 1e-9
+"""A sample this fraction of the domain's extent outside of it counts as inside: rounding puts it there."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfaceGrid:
+    """A surface sampled on a regular grid inside its domain.
+
+    Attributes
+    ----------
+    x : ndarray, (columns,)
+        Positions along x, increasing.
+    y : ndarray, (rows,)
+        Positions along y, increasing.
+    values : ndarray, (rows, columns) or (rows, columns, d)
+        The surface at every sample; NaN outside the domain.
+    inside : ndarray of bool, (rows, columns)
+        Which samples are inside the domain or on its edge.
+    triangles : ndarray of int, (t, 3)
+        Triangles inside the domain, counter-clockwise; sample (row, column) has index row * columns + column.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> grid = mx.fit_surface(square, [0, 2, 2, 4], square).grid(step=1)
+    >>> grid
+    SurfaceGrid(3 x 3, 9 inside, 8 triangles)
+    >>> grid.values.round(6) + 0.0
+    array([[0., 1., 2.],
+           [1., 2., 3.],
+           [2., 3., 4.]])
+    """
+
+    x: Floats
+    y: Floats
+    values: Floats
+    inside: NDArray[np.bool_]
+    triangles: Integers
+
+    def __repr__(self) -> str:
+        rows, columns = self.inside.shape
+        return f"SurfaceGrid({rows} x {columns}, {self.inside.sum()} inside, {len(self.triangles)} triangles)"
+
+    @property
+    def points(self) -> Floats:
+        """Positions of all samples, row after row, (rows * columns, 2).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 2, 4], square).grid(shape=(2, 3)).points[:4]
+        array([[0., 0.], [1., 0.], [2., 0.], [0., 2.]])
+        """
+        return _positions(self.x, self.y)
+
+
+@files.storable
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface:
+    """A smooth map from points of the plane to depths, or to points in space: a thin-plate spline.
+
+    Parameters
+    ----------
+    control_points : array_like, (l, 2)
+        Positions, 3 or more, neither coincident nor on a line.
+    parameters : array_like, (l,) or (l, d)
+        Values at the control points. A surface with (l,) has values (k,), one with (l, d) values (k, d).
+    domain : array_like, (k, 2)
+        Points that the surface was fitted on. Their convex hull is kept; outside it the surface extrapolates.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, a number is not finite, the control points suit no thin-plate spline, or
+        the domain has no area.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    >>> surface = mx.fit_surface(square, [[0, 0, 1], [3, 0, 1], [0, 3, 1], [3, 3, 2]], square)
+    >>> surface
+    Surface(3 values, 4 control points)
+    >>> surface([[1, 1]]).round(6)
+    array([[1.5 , 1.5 , 1.25]])
+    >>> surface.normals([[1, 1]]).round(3)
+    array([[-0.162, -0.162,  0.973]])
+    """
+
+    control_points: Floats
+    parameters: Floats
+    domain: Floats
+    kind: ClassVar[str] = "surface"
+
+    def __post_init__(self) -> None:
+        points = ThinPlateSpline(self.control_points).control_points
+        parameters = check.columns(self.parameters, "parameters", len(points)).copy()
+        domain = covered_region(self.domain, "domain")
+        for name, array in (("control_points", points), ("parameters", parameters), ("domain", domain)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Floats, Floats, Floats]]:
+        # Without what is cached, and read-only again once unpickled.
+        return type(self), (self.control_points, self.parameters, self.domain)
+
+    def __repr__(self) -> str:
+        what = "depth" if self._dimension == 1 else f"{self._dimension} values"
+        return f"Surface({what}, {len(self.control_points)} control points)"
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Return the surface's values.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions, in the unit of the control points.
+
+        Returns
+        -------
+        ndarray, (k,) or (k, d)
+            In the unit of the data's values.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 2, 5], square)([[2, 2], [1, 1]]).round(6)
+        array([5.  , 2.25])
+        """
+        values = evaluate(self._spline, check.points(points, "points"), self._columns)
+        return values.reshape(len(values), *self.parameters.shape[1:])
+
+    def derivatives(self, points: ArrayLike) -> Floats:
+        """Return the derivatives of the surface's values along x and y.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions, in the unit of the control points.
+
+        Returns
+        -------
+        ndarray, (k, 2) or (k, d, 2)
+            The last index is that of x or y.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 4, 6], square).derivatives([[1, 1]]).round(6)
+        array([[1., 2.]])
+        """
+        values = slopes(self._spline, check.points(points, "points"), self._columns)
+        return values.reshape(len(values), *self.parameters.shape[1:], 2)
+
+    def normals(self, points: ArrayLike) -> Floats:
+        """Return the unit normals of the surface in space.
+
+        Parameters
+        ----------
+        points : array_like, (k, 2)
+            Positions, in the unit of the control points.
+
+        Returns
+        -------
+        ndarray, (k, 3)
+            Of a depth f: (-f_x, -f_y, 1), normalised. Of points in space: f_x x f_y, normalised; NaN where
+            these are parallel.
+
+        Raises
+        ------
+        ValueError
+            If the surface has neither one nor three values.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 0, 2], square).normals([[1, 1]]).round(3) + 0.0
+        array([[-0.707,  0.   ,  0.707]])
+        """
+        self._check_space("have normals")
+        derivatives = self.derivatives(points)
+        if self._dimension == 1:
+            slope = derivatives.reshape(-1, 2)
+            return _unit(np.column_stack([-slope, np.ones(len(slope))]))
+        return _unit(np.cross(_unit(derivatives[:, :, 0]), _unit(derivatives[:, :, 1])))
+
+    def grid(self, step: float | None = None, shape: tuple[int, int] | None = None) -> SurfaceGrid:
+        """Sample the surface on a regular grid inside its domain.
+
+        The grid starts at the lower left corner of the domain's bounding box.
+
+        Parameters
+        ----------
+        step : float, optional
+            Distance of neighbouring samples, in the unit of the points; such that about 10,000 samples are
+            inside by default.
+        shape : tuple of int, optional
+            Instead of a step, the numbers of rows and columns that fill the bounding box, each 2 or more.
+
+        Returns
+        -------
+        SurfaceGrid
+            Positions, values and triangles.
+
+        Raises
+        ------
+        ValueError
+            If the grid has more than 10^7 samples, or both a step and a shape are given.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> triangle = [[0, 0], [4, 0], [0, 4]]
+        >>> grid = mx.fit_surface(triangle, [0, 4, 4], triangle).grid(step=2)
+        >>> grid.values.round(6) + 0.0
+        array([[ 0.,  2.,  4.],
+               [ 2.,  4., nan],
+               [ 4., nan, nan]])
+        >>> grid.triangles
+        array([[0, 1, 4], [0, 4, 3], [1, 2, 4], [3, 4, 6]])
+        """
+        x, y = self._axes(step, shape)
+        inside = _inside(self.domain, x, y)
+        values = np.full((*inside.shape, *self.parameters.shape[1:]), np.nan)
+        if inside.any():
+            values[inside] = self(_positions(x, y)[inside.ravel()])
+        return SurfaceGrid(x, y, values, inside, _triangles(inside))
+
+    def write_mesh(
+        self,
+        path: str | os.PathLike[str],
+        step: float | None = None,
+        shape: tuple[int, int] | None = None,
+    ) -> None:
+        """Write the surface inside its domain as a triangle mesh with normals, for 3D programs.
+
+        The vertices are (x, y, f) of a depth f, and f of points in space. A normal that is undefined is
+        written as zeros. An OBJ of points in space has texture coordinates: a picture of the domain's
+        bounding box, its y down, drapes over it.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file, which ends in .ply (binary) or .obj. A file of this name is replaced once the
+            new one is complete.
+        step, shape
+            As for `grid`.
+
+        Raises
+        ------
+        ValueError
+            If the surface has neither one nor three values, if the path has another ending, or if no triangle
+            of the grid is inside the domain.
+        OSError
+            If the file cannot be written; an older file of this name is then untouched.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import tempfile
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     mx.fit_surface(square, [0, 2, 2, 5], square).write_mesh(f"{folder}/surface.ply")
+        ...     os.listdir(folder)
+        ['surface.ply']
+        """
+        self._check_space("become a mesh")
+        ending = Path(path).suffix.lower()
+        if ending not in {".ply", ".obj"}:
+            check.refuse("path", "It must end in .ply or .obj.", check.describe(os.fspath(path)))
+        grid = self.grid(step, shape)
+        if not len(grid.triangles):
+            name, rule = ("shape", "larger") if shape is not None else ("step", "smaller")
+            check.refuse(name, f"It must be {rule}: no triangle is inside the domain.", f"{grid!r}")
+        used, triangles = np.unique(grid.triangles, return_inverse=True)
+        points, triangles = grid.points[used], triangles.reshape(-1, 3)
+        values, normals = grid.values.reshape(grid.inside.size, -1)[used], np.nan_to_num(self.normals(points))
+        vertices = np.column_stack([points, values]) if self._dimension == 1 else values
+        if ending == ".ply":
+            meshes.write_ply(path, vertices, triangles, normals)
+        else:
+            texture = self._texture(points) if self._dimension == 3 else None
+            meshes.write_obj(path, vertices, triangles, normals, texture)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the surface to a file, which `mexpress.load` reads.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file, taken as it is.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import tempfile
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     mx.fit_surface(square, [0, 2, 2, 5], square).save(f"{folder}/surface.npz")
+        ...     mx.load(f"{folder}/surface.npz")
+        Surface(depth, 4 control points)
+        """
+        files.save(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the surface, by name.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> list(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
+        ['control_points', 'parameters', 'domain']
+        """
+        return {name: getattr(self, name) for name in ("control_points", "parameters", "domain")}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a surface from the arrays of `to_arrays`.
+
+        Parameters
+        ----------
+        arrays : mapping of str to ndarray
+            As `to_arrays` returns them; others are ignored.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.Surface.from_arrays(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
+        Surface(depth, 4 control points)
+        """
+        return cls(arrays["control_points"], arrays["parameters"], arrays["domain"])
+
+    @cached_property
+    def _spline(self) -> ThinPlateSpline:
+        return ThinPlateSpline(self.control_points)
+
+    @property
+    def _columns(self) -> Floats:
+        return self.parameters.reshape(len(self.parameters), -1)
+
+    @property
+    def _dimension(self) -> int:
+        return int(self._columns.shape[1])
+
+    def _check_space(self, purpose: str) -> None:
+        if self._dimension not in {1, 3}:
+            rule = f"It must have one value, a depth, or three, a point in space, to {purpose}."
+            check.refuse("surface", rule, f"{self._dimension} values")
+
+    def _axes(self, step: float | None, shape: tuple[int, int] | None) -> tuple[Floats, Floats]:
+        low, extent = self.domain.min(axis=0), np.ptp(self.domain, axis=0)
+        if shape is not None:
+            if step is not None:
+                check.refuse("shape", "It must be None when there is a step.", check.describe(shape))
+            rows, columns = _grid_shape(shape)
+            _check_samples(rows * columns, "shape", check.describe(shape))
+            return low[0] + np.linspace(0, extent[0], columns), low[1] + np.linspace(0, extent[1], rows)
+        spacing = self._default_step() if step is None else check.positive(step, "step")
+        with np.errstate(over="ignore"):
+            columns, rows = np.floor(extent / spacing + _SLACK) + 1
+        _check_samples(columns * rows, "step", f"{spacing:g}")
+        return low[0] + spacing * np.arange(columns), low[1] + spacing * np.arange(rows)
+
+    def _default_step(self) -> float:
+        """Return the step that gives about 10,000 samples inside, but not too many in all."""
+        about, extent = self.domain - self.domain[0], np.ptp(self.domain, axis=0)
+        following = np.roll(about, -1, axis=0)
+        area = 0.5 * float((about[:, 0] * following[:, 1] - about[:, 1] * following[:, 0]).sum())
+        return float(np.sqrt(max(area / _SAMPLES, extent.prod() / (100 * _SAMPLES))))
+
+    def _texture(self, points: Floats) -> Floats:
+        right, up = ((points - self.domain.min(axis=0)) / np.ptp(self.domain, axis=0)).T
+        return np.column_stack([right, 1 - up])
+
+
+def _grid_shape(shape: Any) -> tuple[int, int]:
+    rule = "It must be (rows, columns)."
+    sizes = check.items(shape, "shape", rule)
+    if len(sizes) != 2:
+        check.refuse("shape", rule, check.describe(shape))
+    rows, columns = (check.count(sizes[k], f"shape[{k}]", 2, _MOST_SAMPLES) for k in range(2))
+    return rows, columns
+
+
+def _check_samples(number: float, name: str, given: str) -> None:
+    if number > _MOST_SAMPLES:
+        check.refuse(name, f"A grid must have at most {_MOST_SAMPLES} samples.", f"{given}, hence {number:g}")
+
+
+def _positions(x: Floats, y: Floats) -> Floats:
+    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+
+
+def _inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
+    """Tell which samples of a grid are in a convex region whose left and right ends the grid keeps to.
+
+    A convex region is above the lines of all its lower edges, which run to the right, and below those of its
+    upper edges.
+    """
+    extent = np.ptp(corners, axis=0)
+    edges = np.roll(corners, -1, axis=0) - corners
+    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # the others are the ends
+    (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
+    lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
+    slack = _SLACK * extent[1]
+    above = y[:, None] >= lines[dx > 0].max(axis=0) - slack
+    return np.asarray(above & (y[:, None] <= lines[dx < 0].min(axis=0) + slack))
+
+
+def _triangles(inside: NDArray[np.bool_]) -> Integers:
+    """Return two triangles for every cell inside, and one for every cell with one corner outside."""
+    index = np.arange(inside.size, dtype=np.int64).reshape(inside.shape)
+    cells = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
+    a, b, c, d = inside.ravel()[cells].T
+    halves = [
+        ([0, 1, 2], a & b & c),
+        ([0, 2, 3], a & c & d),
+        ([0, 1, 3], a & b & d & ~c),
+        ([1, 2, 3], b & c & d & ~a),
+    ]
+    return np.concatenate([cells[kept][:, corners] for corners, kept in halves])
+
+
+def _unit(vectors: Floats) -> Floats:
+    """Return vectors of length one, also of those whose squares overflow; NaN for zeros."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moderate = vectors / np.abs(vectors).max(axis=1, keepdims=True)
+        return np.asarray(moderate / np.linalg.norm(moderate, axis=1, keepdims=True))
