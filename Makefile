@@ -10,8 +10,9 @@ RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/nu
 help: ## Show what can be made
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
-demo: $(VENV)/demo ## Register a stereo pair with the right number of control points; see demo-output/
+demo: $(VENV)/demo ## Register a stereo pair, and fit a surface to terrain; see demo-output/
 	$(BIN)/python examples/demo_warp.py
+	$(BIN)/python examples/demo_surface.py
 
 test: $(VENV)/test ## Run every test, of Rust and of Python
 	cargo test --release --locked --quiet
@@ -28,6 +29,7 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
+	$(BIN)/python benches/nested.py
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 

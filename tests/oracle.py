@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.linalg import solve_triangular
 
 import mexpress as mx
 
@@ -102,6 +103,29 @@ class Problem:
             weight += sum(self.row_weights[self.labels == d][0] for d in validated)
         return float(np.sqrt(total / weight))
 
+    def leading(self, size: int) -> "Problem":
+        """Return the problem of the first columns."""
+        penalty = None if self.penalty is None else self.penalty[:, :size]
+        return Problem(self.A[:, :size], self.b, self.labels, self.weights, penalty)
+
+    def curve(self, sizes, scheme) -> Array:
+        """Return P of every leading model by refits; NaN where a pair loses rank or nothing is validated."""
+        models = [self.leading(size) for size in sizes]
+        total, weight = np.zeros(len(models)), 0.0
+        for held, validated in pairs(scheme):
+            rows, kept = self.rows(held), self.rows(validated)
+            total += [model.squares(rows, kept) for model in models]
+            weight += (np.ones(self.n) if self.weights is None else self.weights)[validated].sum()
+        return np.sqrt(total / weight) if weight else np.full(len(models), np.nan)
+
+    def squares(self, held, kept) -> float:
+        """Return the weighted sum of squared errors of some held-out rows; NaN if the other rows lose rank."""
+        if self.loses_rank(held):
+            return np.nan
+        scored = np.isin(held, kept)
+        e = self.refit(held)[scored]
+        return float((self.row_weights[held[scored]] @ e**2).sum())
+
 
 def pairs(scheme) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     return zip(scheme.held_out, scheme.validated, strict=True)
@@ -121,6 +145,28 @@ def lstsq_wide(A, b):
     for j in reversed(range(p)):
         x[j] = (c[j] - a[j, j + 1 : p] @ x[j + 1 :]) / a[j, j]
     return x
+
+
+def nested_refit(A, b, rows) -> Array:
+    """Predict rows (q, p) by each leading block of columns of A, (p, q, r): one QR of A, of full column rank."""
+    scale = np.linalg.norm(A, axis=0)
+    Q, R = np.linalg.qr(A / scale)
+    u = solve_triangular(R, (rows / scale).T, trans="T")
+    return np.cumsum(u[:, :, None] * (Q.T @ b)[:, None], axis=0)
+
+
+def nested_refit_wide(A, b, rows) -> Array:
+    """Do the same by Gram-Schmidt, each column twice, in numpy's widest floats."""
+    Q, b, u = (np.array(x, dtype=np.longdouble) for x in (A, b, rows))
+    for j in range(Q.shape[1]):
+        for _ in range(2):
+            shares = Q[:, :j].T @ Q[:, j]
+            Q[:, j] -= Q[:, :j] @ shares
+            u[:, j] -= u[:, :j] @ shares
+        length = np.sqrt((Q[:, j] ** 2).sum())
+        Q[:, j] /= length
+        u[:, j] /= length
+    return np.cumsum(u.T[:, :, None] * (Q.T @ b)[:, None], axis=0).astype(np.float64)
 
 
 def worst_error(problem: Problem, scheme, cv, wide: bool = False) -> float:
@@ -166,6 +212,15 @@ def thin_plate(points: Array, control_points: Array) -> Array:
     return np.column_stack([kernel, np.ones(len(points)), points])
 
 
+def nested_thin_plate(points: Array, control_points: Array) -> Array:
+    """Return the thin-plate splines whose first l columns are those of the first l control points."""
+    corners = np.vstack([control_points[:3].T, np.ones(3)])
+    weights = lambda x: np.linalg.solve(corners, np.vstack([x.T, np.ones(len(x))])).T  # noqa: E731
+    size = np.abs(points).max()
+    kernel = thin_plate(points / size, control_points / size)[:, : len(control_points)]
+    return np.column_stack([weights(points), kernel[:, 3:] - kernel[:, :3] @ weights(control_points[3:]).T])
+
+
 def b_spline(x: Array, cells: int) -> Array:
     """Return cubic B-splines on equal cells of [0, 1]."""
     knots = np.concatenate([[0] * 3, np.linspace(0, 1, cells + 1), [1] * 3])
@@ -184,11 +239,17 @@ def make(family: str, coupling=1, *, responses=1, weighted=False, penalised=Fals
         A = thin_plate(where, points[rng.choice(n, 4, replace=False)])
     else:
         A = b_spline(where[:, 0] / 1920, 4)
+    return respond(A, labels, rng, responses, weighted, penalised), points
+
+
+def respond(A, labels, rng, responses=1, weighted=False, penalised=False) -> Problem:
+    """Return a problem of a design: noisy responses, and weights and penalty rows if wanted."""
+    n = int(labels.max()) + 1
     truth = rng.normal(size=(A.shape[1], responses)) / np.linalg.norm(A, axis=0)[:, None]
     b = 100 * np.sqrt(len(A)) * A @ truth + rng.normal(0, 5, (len(A), responses))
     weights = rng.uniform(0.1, 10, n) if weighted else None
     penalty = rng.normal(size=(3, A.shape[1])) * np.linalg.norm(A, axis=0) / 5 if penalised else None
-    return Problem(A, b[:, 0] if responses == 1 else b, labels, weights, penalty), points
+    return Problem(A, b[:, 0] if responses == 1 else b, labels, weights, penalty)
 
 
 def every_scheme(points: Array, seed: int = 0) -> dict:

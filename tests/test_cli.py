@@ -80,6 +80,8 @@ def test_options_reach_the_library(matches, run, tmp_path):
         "--no-fractional",
         "--counts",
         "3,9,12",
+        "--smoothing",
+        "2",
         "--seed",
         "5",
         "--threads",
@@ -88,7 +90,7 @@ def test_options_reach_the_library(matches, run, tmp_path):
     status, _, errors = run("warp", matches, *options, "--no-plots", "--quiet", "--out", tmp_path)
     assert status == 0, errors
     expected = mx.select_warp(
-        SOURCE, TARGET, criterion="CMPRESS", fractional=False, counts=[3, 9, 12], seed=5
+        SOURCE, TARGET, criterion="CMPRESS", fractional=False, counts=[3, 9, 12], smoothing=2, seed=5
     )
     said = json.loads((tmp_path / "selection.json").read_text())
     assert said["criterion"] == "CMPRESS"
@@ -121,7 +123,7 @@ def test_undefined_scores_are_null_and_told(run, tmp_path):
     assert status == 0, errors
     assert None in said["curves"]["CMPRESS"]
     assert " -" in text
-    assert "CMPRESS has no score at" in errors
+    assert "CMPRESS has no score " in errors
 
 
 def test_without_matplotlib_the_numbers_are_written(matches, run, tmp_path, monkeypatch):
@@ -158,6 +160,7 @@ def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monk
         (["--counts", "200:200"], "Invalid"),
         (["--lifting", "rubber"], "Invalid lifting"),
         (["--placement", "anywhere"], "Invalid placement"),
+        (["--smoothing", "-1"], "Invalid smoothing"),
         (["--threads", "0"], "Invalid threads"),
         (["--seed", "-1"], "Invalid seed"),
         (["--seed", "x"], "--seed"),
@@ -215,7 +218,7 @@ def test_faults_of_ours_keep_their_traceback(matches, run, tmp_path, monkeypatch
     def fault(*_, **__):
         raise ValueError("operands could not be broadcast together")
 
-    monkeypatch.setattr("mexpress.cli.select_warp", fault)
+    monkeypatch.setattr("mexpress.cli.warp.select_warp", fault)
     with pytest.raises(ValueError, match="broadcast"):
         run("warp", matches, "--out", tmp_path)
 
@@ -224,7 +227,7 @@ def test_interruption_is_no_traceback(matches, run, tmp_path, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mexpress.cli.select_warp", interrupt)
+    monkeypatch.setattr("mexpress.cli.warp.select_warp", interrupt)
     assert run("warp", matches, "--out", tmp_path) == (130, "", "mexpress: error: interrupted\n")
 
 
@@ -266,7 +269,10 @@ def test_incomplete_commands_are_one_line(run, arguments):
     assert errors.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["warp", "--help"], ["apply", "--help"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--version"], ["--help"], ["warp", "--help"], ["surface", "--help"], ["apply", "--help"]],
+)
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as left:
         main(arguments)
@@ -295,6 +301,28 @@ def test_table_marks_minima_and_always_shows_them():
         assert shown[count][column].endswith("*"), name
     assert text.count("*") == 4
     assert len(table(selection, most_rows=38).splitlines()) == 39
+
+
+def test_a_long_table_is_shortened_and_keeps_its_ends():
+    counts = np.arange(3, 176)
+    curves = {f"ER{k}": (counts - 10.0 * k) ** 2 + 1 for k in range(1, 12)}
+    rows = table(mx.Selection("ER1", counts, curves, {})).splitlines()[1:-1]
+    shown = [int(row.split()[0]) for row in rows]
+    assert len(shown) <= 25
+    assert {3, 175, *range(10, 111, 10)} <= set(shown)
+    assert max(np.diff(shown)) < 60
+
+
+def test_a_wide_table_is_broken_between_criteria():
+    counts = np.arange(3, 6)
+    curves = {f"ER{k}": np.full(3, 1.0 + k) for k in range(1, 12)}
+    lines = table(mx.Selection("ER1", counts, curves, {}), width=60).splitlines()
+    assert max(map(len, lines)) <= 60
+    headers = [line.split() for line in lines if "points" in line]
+    assert len(headers) > 1
+    assert all(header[0] == "points" for header in headers)
+    assert [name for header in headers for name in header[1:]] == list(curves)
+    assert len(table(mx.Selection("ER1", counts, curves, {}), width=3).splitlines()) == 11 * 5 - 1
 
 
 def terminal():

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mexpress.liftings import LIFTINGS, ThinPlateSpline, evaluate, make_lifting, slopes
+from mexpress.liftings import (
+    LIFTINGS,
+    ThinPlateSpline,
+    evaluate,
+    make_lifting,
+    nested_basis,
+    nested_bending,
+    slopes,
+)
 
 
 def scattered(count, seed=0, size=1000.0):
@@ -242,3 +250,152 @@ def test_every_registered_lifting_reports_its_own_name():
     for name in LIFTINGS:
         assert make_lifting(name, scattered(5)).name == name
         assert repr(make_lifting(name, scattered(5))).endswith("(5 control points)")
+
+
+# The nested form
+
+FRAMES = {"unit": (1.0, 0.0), "pixels": (1000.0, 0.0), "map": (100.0, 5e6), "huge": (1e100, 0.0)}
+
+
+def fitted(columns, values):
+    scaled = columns / np.linalg.norm(columns, axis=0)
+    return scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_leading_nested_functions_span_the_splines_of_the_leading_control_points(frame):
+    size, offset = FRAMES[frame]
+    centres, points = size * scattered(60, size=0.9) + offset, size * scattered(400, 1, 0.9) + offset
+    values = np.random.default_rng(2).normal(size=(400, 2))
+    functions = nested_basis(points, centres)
+    for count in (3, 4, 5, 8, 20, 60):
+        expected = fitted(ThinPlateSpline(centres[:count]).basis(points), values)
+        np.testing.assert_allclose(fitted(functions[:, :count], values), expected, rtol=0, atol=1e-9)
+
+
+@given(st.integers(0, 10**6), st.integers(3, 20))
+def test_nested_functions_are_splines_at_every_point_also_outside(seed, count):
+    centres, points = scattered(count, seed, 1.0), scattered(50, seed + 1, 3.0) - 1
+    functions, at_centres = nested_basis(points, centres), nested_basis(centres, centres)
+    expected = ThinPlateSpline(centres).basis(points) @ at_centres
+    scale = 1 + np.abs(functions).max(axis=0) + np.abs(at_centres).max(axis=0)
+    np.testing.assert_allclose(functions / scale, expected / scale, rtol=0, atol=1e-9)
+
+
+def test_nested_functions_do_not_change_with_later_control_points():
+    centres, points = scattered(40), scattered(500, seed=1)
+    functions = nested_basis(points, centres)
+    for count in (3, 4, 17):
+        np.testing.assert_array_equal(nested_basis(points, centres[:count]), functions[:, :count])
+    np.testing.assert_array_equal(nested_basis(points[:7], centres), functions[:7])
+
+
+def test_the_first_three_nested_functions_are_barycentric_coordinates():
+    centres, points = scattered(5), scattered(30, seed=1)
+    weights = nested_basis(points, centres)[:, :3]
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(weights @ centres[:3], points, atol=1e-9)
+    np.testing.assert_allclose(nested_basis(centres[:3], centres)[:, :3], np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize("frame", [name for name in FRAMES if name != "huge"])
+def test_leading_rows_of_nested_bending_measure_every_leading_model(frame):
+    size, offset = FRAMES[frame]
+    centres = size * scattered(40, size=0.9) + offset
+    rows, x = nested_bending(centres), np.random.default_rng(3).normal(size=40)
+    assert rows.shape == (37, 40)
+    assert not np.tril(rows[:, 3:], -1).any()
+    assert not rows[:, :3].any()
+    for count in range(3, 41):
+        leading = centres[:count]
+        values = nested_basis(leading, leading) @ x[:count]
+        expected = np.sum((ThinPlateSpline(leading).bending() @ values) ** 2)
+        energy = np.sum((rows[: count - 3, :count] @ x[:count]) ** 2)
+        np.testing.assert_allclose(energy, expected, rtol=1e-7)
+
+
+def test_nested_bending_is_the_integral_of_squared_second_derivatives():
+    centres, step = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.4, 0.5]]), 0.05
+    axis, x = np.arange(-20, 21, step), [3.0, -1, 2, 1, -0.5]
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    f = (nested_basis(grid, centres) @ x).reshape(len(axis), -1)
+    xx, yy = (
+        np.diff(f, 2, axis=a)[tuple(np.s_[1:-1] if b != a else np.s_[:] for b in (0, 1))] for a in (0, 1)
+    )
+    xy = (f[2:, 2:] - f[2:, :-2] - f[:-2, 2:] + f[:-2, :-2]) / 4
+    integral = np.sum(xx**2 + 2 * xy**2 + yy**2) / step**2
+    np.testing.assert_allclose(integral, 8 * np.pi * np.sum((nested_bending(centres) @ x) ** 2), rtol=0.02)
+
+
+@pytest.mark.parametrize("shrink", [1e-1, 1e-3])
+def test_a_small_first_triangle_costs_few_digits(shrink):
+    centres, points = scattered(40, size=1.0), scattered(400, seed=1, size=1.0)
+    centres[:3] = centres[:3].mean(axis=0) + shrink * (centres[:3] - centres[:3].mean(axis=0))
+    values = np.random.default_rng(2).normal(size=400)
+    expected = fitted(ThinPlateSpline(centres).basis(points), values)
+    np.testing.assert_allclose(fitted(nested_basis(points, centres), values), expected, rtol=0, atol=1e-8)
+    assert np.isfinite(nested_bending(centres)).all()
+
+
+def test_control_points_as_near_as_they_may_be_still_bend():
+    centres = scattered(6, size=1.0)
+    rows = nested_bending(np.vstack([centres, centres[4] + [2e-5, 0], centres[0] + [0, 2e-5]]))
+    assert np.linalg.matrix_rank(rows / np.abs(rows).max(axis=0, initial=1e-300)) == 5
+
+
+def test_three_control_points_do_not_bend():
+    assert nested_bending(scattered(3)).shape == (0, 3)
+    assert nested_basis(scattered(5, seed=1), scattered(3)).shape == (5, 3)
+
+
+def test_nested_functions_of_many_points_take_little_more_memory_than_their_result():
+    centres, points = scattered(100), scattered(50_000, seed=1)
+    tracemalloc.start()
+    size = nested_basis(points, centres).nbytes
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < size + 5e6
+
+
+@pytest.mark.parametrize(
+    "control_points",
+    [
+        [],
+        [[0, 0]],
+        [[0, 0], [1, 0]],
+        [[0, 0]] * 3,
+        [[0, 0], [1, 1], [2, 2], [0, 5]],
+        [[0, 0], [1, 0], [0, 1], [1, 0]],
+        [[0, 0], [1, 0], [0, np.nan]],
+        [["a", "b"]] * 3,
+        None,
+    ],
+)
+def test_control_points_that_make_no_nested_functions_are_refused(control_points):
+    for call in (lambda c: nested_basis([[1, 1]], c), nested_bending):
+        with pytest.raises((ValueError, TypeError), match=r"Invalid control_points\. .* Given "):
+            call(control_points)
+
+
+def test_control_points_that_begin_on_a_line_are_told_from_those_on_a_line():
+    ThinPlateSpline([[0, 0], [1, 1], [2, 2], [0, 5]])
+    with pytest.raises(ValueError, match=r"control_points\. The first three must not lie on a line"):
+        nested_basis([[1, 1]], [[0, 0], [1, 1], [2, 2], [0, 5]])
+
+
+def test_every_layout_of_the_same_numbers_gives_the_same_nested_functions():
+    centres, points = scattered(6).round(), scattered(10, seed=1).round()
+    expected = nested_basis(points, centres)
+    for change in (
+        np.ndarray.tolist,
+        np.asfortranarray,
+        lambda a: a.astype(np.float32),
+        lambda a: a.astype(int),
+    ):
+        np.testing.assert_array_equal(nested_basis(change(points), change(centres)), expected)
+
+
+@pytest.mark.filterwarnings("error")
+def test_nested_functions_absurdly_far_away_raise_no_warning():
+    assert np.isfinite(nested_basis([[1e100, 0.0]], scattered(5))).all()
+    nested_basis([[1e100, 0.0]], 1e-80 * scattered(5))

@@ -10,6 +10,7 @@ from matplotlib.image import imread
 import mexpress as mx
 from mexpress import plotting
 from mexpress.liftings import ThinPlateSpline
+from mexpress.plotting import curves, rasters
 from mexpress.warps import Warp
 
 WIDTH, HEIGHT = 160, 100
@@ -30,41 +31,108 @@ def is_drawn(path):
 
 
 def labels(figure):
+    """Return the legend's entries."""
     return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def curve_labels(figure):
+    """Return what is written beside the curves, from the lowest to the highest."""
+    header, *texts = figure.axes[0].texts
+    assert header.get_text() == "criterion: what it selects"
+    return [text.get_text() for text in sorted(texts, key=lambda text: text.get_position()[1])]
+
+
+def made_up(curves):
+    """Return a selection by the first of the curves."""
+    counts = np.arange(3, 3 + len(next(iter(curves.values()))))
+    curves = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
+    return mx.Selection(next(iter(curves)), counts, curves, {})
 
 
 def test_selection_is_drawn_with_what_each_criterion_selects(selection, tmp_path):
     figure = selection.plot(tmp_path / "curves.png")
     assert is_drawn(tmp_path / "curves.png")
-    assert f"ER10: {selection.count}" in labels(figure)
-    assert f"BIC: {selection.selected['BIC']} (scaled onto FIT)" in labels(figure)
-    drawn = {line.get_label(): line for line in figure.axes[0].lines}
-    np.testing.assert_array_equal(drawn[f"ER10: {selection.count}"].get_ydata(), selection.curves["ER10"])
+    assert f"ER10: {selection.count}" in curve_labels(figure)
+    assert f"BIC (rescaled): {selection.selected['BIC']}" in curve_labels(figure)
+    drawn = [line.get_ydata() for line in figure.axes[0].lines]
+    assert any(np.array_equal(selection.curves["ER10"], y) for y in drawn)
+    assert "pixels" in figure.axes[0].get_ylabel()
+
+
+def test_many_labels_stand_apart_in_the_order_of_the_curves():
+    names = [f"ER{k}" for k in range(1, 13)]
+    figure = plotting.plot_selection(made_up({n: [1, 2 + k / 100] for k, n in enumerate(names)}), unit="m")
+    assert curve_labels(figure) == [f"{name}: 3" for name in names]
+    heights = sorted(text.get_position()[1] for text in figure.axes[0].texts[1:])
+    assert np.diff(heights).min() > 0.04
+    assert heights[0] >= 0
+    assert heights[-1] <= 1
+    assert figure.axes[0].get_ylabel() == "criterion (m)"
+
+
+def test_labels_are_moved_as_little_as_possible():
+    np.testing.assert_allclose(curves._apart(np.array([0.5, 0.1, 0.9]), 0.05), [0.5, 0.1, 0.9])
+    np.testing.assert_allclose(curves._apart(np.array([0.5, 0.5, 0.5]), 0.1), [0.4, 0.5, 0.6])
+    np.testing.assert_allclose(curves._apart(np.array([0.0, 1.0, 0.0, 1.0]), 0.1), [0.0, 0.9, 0.1, 1.0])
+
+
+def test_families_share_a_colour_from_light_to_dark():
+    looks = curves._looks(["ER10", "NN5PCT", "ER1", "ER5", "NN1PCT", "mine", "FIT"])
+    brightness = {name: sum(bytes.fromhex(colour[1:])) for name, (colour, _) in looks.items()}
+    assert brightness["ER1"] > brightness["ER5"] > brightness["ER10"]
+    assert brightness["NN1PCT"] > brightness["NN5PCT"]
+    assert {looks[name][1] for name in ("ER1", "ER5", "ER10")} == {"-"}
+    assert len({colour for colour, _ in looks.values()}) == len(looks)
+
+
+def test_curves_that_coincide_share_a_line():
+    selection = made_up({"CMPRESS": [3, 1, 2], "PRESS": [3, 1, 2], "FIT": [3, 2, 1]})
+    assert curve_labels(plotting.plot_selection(selection)) == ["FIT: 5", "CMPRESS = PRESS: 4"]
 
 
 def test_rescaling_keeps_what_is_selected_and_stays_on_the_axis(selection):
-    curves, anchor = plotting._on_one_axis(selection.curves, "ER10")
-    assert anchor == "FIT"
-    for name in ("AIC", "BIC"):
-        moved = curves[name]
-        assert np.argmin(moved) == np.argmin(selection.curves[name])
-        assert (moved > 0).all()
-        assert (np.argsort(moved) == np.argsort(selection.curves[name])).all()
+    moved, names = curves._on_one_axis(selection.curves, "ER10")
+    assert names == {"AIC", "BIC"}
+    for name in names:
+        assert np.argmin(moved[name]) == np.argmin(selection.curves[name])
+        assert (moved[name] > 0).all()
+        assert (np.argsort(moved[name]) == np.argsort(selection.curves[name])).all()
+    np.testing.assert_array_equal(moved["ER10"], selection.curves["ER10"])
+
+
+def test_rescaling_is_by_least_squares():
+    onto = np.array([9.0, 7.0, 6.5, 5.0])
+    curve = np.array([-20.0, -50.0, -80.0, -90.0])
+    scale, offset = np.polyfit(curve, onto, 1)
+    np.testing.assert_allclose(curves._rescaled(curve, onto), scale * curve + offset)
+    # Values that are not known on both curves have no say.
+    longer = curves._rescaled(np.append(curve, -np.inf), np.append(onto, 1.0))
+    np.testing.assert_allclose(longer, np.append(scale * curve + offset, -np.inf))
 
 
 def test_rescaling_never_turns_a_curve_over():
     falling, rising = np.array([4.0, 2.0, 1.0]), np.array([1.0, 2.0, 3.0])
-    assert (np.diff(plotting._rescaled(rising, falling)) > 0).all()
+    moved = curves._rescaled(rising, falling)
+    assert (np.diff(moved) > 0).all()
+    np.testing.assert_allclose([moved.mean(), moved.std()], [falling.mean(), falling.std()])
+
+
+def test_rescaling_stays_above_half_of_the_smallest_value():
+    curve, onto = np.linspace(0, -10, 9), 4.0 ** -np.arange(9)
+    moved = curves._rescaled(curve, onto)
+    assert moved.min() == pytest.approx(onto.min() / 2)
+    above = curve - curve.min()
+    best = min(np.linspace(0, 1, 10001), key=lambda a: ((onto.min() / 2 + a * above - onto) ** 2).sum())
+    np.testing.assert_allclose(moved, onto.min() / 2 + best * above, atol=1e-3)
 
 
 def test_undefined_and_infinite_values_are_left_out(selection, tmp_path):
-    curves = dict(selection.curves)
-    curves["PRESS"] = np.full(len(selection.counts), np.nan)
-    curves["CMPRESS"] = np.where(np.arange(len(selection.counts)) % 2, np.nan, curves["CMPRESS"])
-    curves["AIC"] = np.where(selection.counts == 19, -np.inf, curves["AIC"])
-    changed = dataclasses.replace(selection, curves=curves)
-    figure = plotting.plot_selection(changed, tmp_path / "curves.png")
-    assert "PRESS: none (per row)" in labels(figure)
+    changed = dict(selection.curves)
+    changed["PRESS"] = np.full(len(selection.counts), np.nan)
+    changed["CMPRESS"] = np.where(np.arange(len(selection.counts)) % 2, np.nan, changed["CMPRESS"])
+    changed["AIC"] = np.where(selection.counts == 19, -np.inf, changed["AIC"])
+    figure = plotting.plot_selection(dataclasses.replace(selection, curves=changed), tmp_path / "curves.png")
+    assert "PRESS (per row): none" in curve_labels(figure)
     assert is_drawn(tmp_path / "curves.png")
 
 
@@ -131,9 +199,9 @@ def test_a_shift_is_undone():
 
 def test_large_images_are_reduced_without_a_shift():
     large = np.kron(GRAY, np.ones((10, 10)))
-    reduced, step = plotting._reduced(large)
+    reduced, step = rasters.reduced(large)
     assert max(reduced.shape) <= 1000
-    centres = plotting._pixel_centres(reduced, step)
+    centres = rasters.pixel_centres(reduced, step)
     np.testing.assert_allclose(centres.mean(axis=0), (np.array(large.shape[::-1]) - 1) / 2, atol=step)
     np.testing.assert_allclose(reduced.mean(), large.mean(), rtol=1e-2)
 

@@ -36,7 +36,10 @@ def work(threads=3):
     model = build(threads=threads)
     cv = model.cross_validate(scheme(), threads=threads)
     near = mx.schemes.nearest(np.random.default_rng(0).uniform(size=(2000, 2)), 5, threads=threads)
-    return cv.residuals.tobytes() + model.coefficients.tobytes() + near.held_out.indices.tobytes()
+    points = np.random.default_rng(0).uniform(size=(300, 2))
+    surface = mx.select_surface(points, np.sin(9 * points[:, 0]), max_count=12, threads=threads)
+    arrays = (cv.residuals, model.coefficients, near.held_out.indices, *surface.curves.values())
+    return b"".join(array.tobytes() for array in (*arrays, surface.surface.parameters))
 
 
 def child(connection):
@@ -178,6 +181,14 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
 
 # ------------------------------------------------------------------------------------------------------ Ctrl-C
 
+SURFACE = """
+        from mexpress.criteria import Judge
+        from mexpress.designs import surface_design
+        from mexpress.nested import Nested
+        points = rng.uniform(0, 1000, (60_000, 2))
+        values = np.sin(points[:, 0] / 100) + 0.1 * rng.normal(size=60_000)
+"""
+
 LONG = {
     "many small pairs": """
         model = mx.LeastSquares(rng.normal(size=(100_000, 80)), rng.normal(size=100_000), threads=2)
@@ -235,6 +246,33 @@ LONG = {
         target = points + 30 * np.sin(points / 100)
         call = lambda: mx.select_warp(points, target, threads=2)
     """,
+    "nested models": """
+        A, b = rng.normal(size=(20_000, 150)), rng.normal(size=20_000)
+        pairs = {"near": mx.schemes.nearest(rng.uniform(size=(20_000, 2)), 700)}
+        call = lambda: mx.cross_validate_nested(A, b, range(1, 151), pairs, threads=2)
+    """,
+    "a surface's control points": f"""
+        {SURFACE}
+        call = lambda: mx.select_surface(points, values, max_count=300, min_distance=1, threads=2)
+    """,
+    "a surface's neighbourhoods": f"""
+        {SURFACE}
+        design = surface_design(points, values, points[:150])
+        nested = Nested(design.A, design.b, threads=2)
+        judge = Judge.of(["ER20", "NN25PCT"], points, nested=True)
+        call = lambda: judge.curves(nested, np.arange(3, 151), 2)
+    """,
+    "a surface's folds": f"""
+        {SURFACE}
+        design = surface_design(points, values, points[:300])
+        nested = Nested(design.A, design.b, threads=2)
+        judge = Judge.of(["KF1000", "PRESS"], points, nested=True)
+        call = lambda: judge.curves(nested, np.arange(3, 301), 2)
+    """,
+    "a factorisation for nested models": """
+        A, b = rng.normal(size=(400_000, 100)), rng.normal(size=400_000)
+        call = lambda: mx.cross_validate_nested(A, b, [5, 100], {}, threads=2)
+    """,
 }
 
 SCRIPT = """
@@ -281,3 +319,46 @@ def test_ctrl_c_ends_long_work_at_once(what):
     print(f"{what}: {latency}")
     assert latency is not None, "the work was done too soon to tell"
     assert latency < 1  # 0.2 s, and room for a busy machine
+
+
+SELECTION = f"""
+        {SURFACE}
+        call = lambda: mx.select_surface(points, values, "ER10", ["KF10", "CMPRESS"], max_count=175, threads=2)
+"""
+
+
+@posix
+@pytest.mark.parametrize("after", [0.5, 2, 5])
+def test_ctrl_c_ends_the_selection_of_a_surface_at_any_stage(after):
+    latency = interrupt(SELECTION, after)
+    print(f"after {after}: {latency}")
+    assert latency is not None, "the work was done too soon to tell"
+    assert latency < 1
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
+@posix
+def test_a_forked_child_selects_a_surface_after_an_interrupt():
+    code = SCRIPT.format(setup=textwrap.dedent(SELECTION)) + textwrap.dedent("""
+        import os
+        few, depth = points[:500], values[:500]
+        expected = mx.select_surface(few, depth, max_count=20, threads=2)
+        if os.fork() == 0:
+            signal.alarm(20)
+            found = mx.select_surface(few, depth, max_count=20, threads=2)
+            equal = all((found.curves[name] == curve).all() for name, curve in expected.curves.items())
+            os._exit(0 if equal else 1)
+        print("child", os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
+    """)
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "ready\n"
+            time.sleep(1)
+            process.send_signal(signal.SIGINT)
+            lines = []
+            while select.select([process.stdout], [], [], 20)[0] and (line := process.stdout.readline()):
+                lines.append(line.split()[:2])
+        finally:
+            process.kill()
+    assert [line[0] for line in lines] == ["interrupted", "score", "child"]
+    assert lines[2] == ["child", "0"]

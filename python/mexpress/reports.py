@@ -22,13 +22,13 @@ __all__ = ["UNITLESS", "summary", "table", "write_curves", "write_summary"]
 UNITLESS = frozenset({"AIC", "BIC"})
 """Criteria without a unit."""
 
-_MOST_ROWS = 30
+_MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""
 
 PathLike = str | os.PathLike[str]
 
 
-def table(selection: Selection, most_rows: int = _MOST_ROWS) -> str:
+def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None = None) -> str:
     """Return the criteria by number of control points; * marks what a criterion selects, - what is undefined.
 
     Parameters
@@ -36,7 +36,10 @@ def table(selection: Selection, most_rows: int = _MOST_ROWS) -> str:
     selection : Selection
         Result of a sweep.
     most_rows : int
-        With more counts only so many are shown, evenly spread, and besides those that a criterion selects.
+        With more counts only about so many are shown: the first, the last, what a criterion selects, and others
+        between, denser where models are small.
+    width : int, optional
+        Characters in a line: criteria for which there is no room follow below.
 
     Returns
     -------
@@ -63,22 +66,35 @@ def table(selection: Selection, most_rows: int = _MOST_ROWS) -> str:
             for name, curve in selection.curves.items()
         )
         cells.append([str(counts[row]), *scores])
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [
-        "  ".join(cell.rjust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in cells
-    ]
+    lines = _aligned(cells, width)
     if len(rows) < len(counts):
         lines.append(f"({len(rows)} of {len(counts)} numbers of control points; all are in the curves)")
     return "\n".join(lines)
 
 
+def _aligned(cells: list[list[str]], width: int | None) -> list[str]:
+    """Return lines of columns; those beyond the width follow below, beside the first column again."""
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    blocks: list[list[int]] = [[0]]
+    for column in range(1, len(widths)):
+        used = sum(widths[k] + 2 for k in blocks[-1])
+        if width is not None and len(blocks[-1]) > 1 and used + widths[column] > width:
+            blocks.append([0])
+        blocks[-1].append(column)
+    parts = (
+        ["  ".join(line[k].rjust(widths[k]) for k in block).rstrip() for line in cells] for block in blocks
+    )
+    return [line for k, part in enumerate(parts) for line in ([""] if k else []) + part]
+
+
 def _shown_rows(number: int, selected: list[int], most: int) -> list[int]:
     if number <= most:
         return list(range(number))
-    room = max(most - len(set(selected)), 2)
+    kept = {0, number - 1, *selected}
     # Nearly geometric: criteria change most where models are small.
-    spread = np.unique(np.geomspace(1, number, room).round().astype(int) - 1)
-    return sorted({*spread.tolist(), *selected})
+    for row in np.geomspace(1, number, max(most - len(kept), 0) + 2).round().astype(int) - 1:
+        kept.add(int(row))
+    return sorted(kept)
 
 
 def _writers(curves: Mapping[str, Floats]) -> dict[str, Callable[[float], str]]:
@@ -88,10 +104,10 @@ def _writers(curves: Mapping[str, Floats]) -> dict[str, Callable[[float], str]]:
     low = float(positive.min()) if positive.size else 1.0
     decimals = max(3 - math.floor(math.log10(low)), 0)
 
-    def in_pixels(value: float) -> str:
+    def with_unit(value: float) -> str:
         return f"{value:.{decimals}f}" if low >= 1e-3 and abs(value) < 1e6 else f"{value:.3e}"
 
-    return {name: "{:.1f}".format if name in UNITLESS else in_pixels for name in curves}
+    return {name: "{:.1f}".format if name in UNITLESS else with_unit for name in curves}
 
 
 def _cell(write: Callable[[float], str], value: float, selected: bool) -> str:
@@ -130,7 +146,8 @@ def summary(selection: Selection) -> dict[str, Any]:
     dict
         `versions`: of mexpress, numpy and Python. `criterion`: the one that selects; `count`: what it
         selects; `score`: its value there. `selected`: by criterion, what it would select. `counts`: what was
-        tried, and `curves`: by criterion, its values there, in pixels; AIC and BIC have no unit. `undefined`:
+        tried, and `curves`: by criterion, its values there, in pixels for warps and in the data's unit for
+        surfaces; AIC and BIC have no unit. `undefined`:
         by criterion and count, the data (from 0) whose prediction lacks the rank.
 
     Examples

@@ -1,0 +1,89 @@
+"""The command line: `mexpress warp`, `mexpress surface`, `mexpress apply`.
+
+A command is a function that adds its parser and says what to run; enter another one in `COMMANDS`. Errors of
+the input are one line on standard error and exit status 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+
+from mexpress.cli.apply import add_apply
+from mexpress.cli.common import Parser, UsageError
+from mexpress.cli.surface import add_surface
+from mexpress.cli.warp import add_warp
+
+__all__ = ["COMMANDS", "main"]
+
+COMMANDS: tuple[Callable[[argparse._SubParsersAction[Parser]], None], ...] = (
+    add_warp,
+    add_surface,
+    add_apply,
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments; those of the process if not given.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 2 for errors of the input, 130 after Ctrl-C.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from mexpress.matches import write_matches
+    >>> source = np.random.default_rng(0).uniform(0, 100, (30, 2))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matches(f"{folder}/m.csv", source, source + np.sin(source / 20))
+    ...     options = ["--counts", "3:6", "--criteria", "FIT", "--no-plots", "--out", folder]
+    ...     main(["warp", f"{folder}/m.csv", *options])
+    ...     sorted(os.listdir(folder))
+    30 matches, fractional tps warps with 3 to 6 control points; pixels; * smallest
+    ...
+    0
+    ['curves.csv', 'm.csv', 'selection.json', 'warp.npz']
+    """
+    try:
+        arguments = _parser().parse_args(argv)
+        arguments.run(arguments)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        return _failed("interrupted", 130)
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        return _failed(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except (UsageError, ImportError) as error:
+        return _failed(str(error))
+    except (ValueError, TypeError) as error:
+        if not str(error).startswith("Invalid "):  # a fault of ours, whose traceback is needed
+            raise
+        return _failed(str(error))
+    return 0
+
+
+def _failed(message: str, status: int = 2) -> int:
+    print("mexpress: error: " + " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(prog="mexpress", description="How many control points should this model have?")
+    parser.add_argument("--version", action="version", version=f"mexpress {version('mexpress')}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for add in COMMANDS:
+        add(commands)
+    return parser

@@ -1,0 +1,83 @@
+"""`mexpress apply`: evaluate a saved model at points."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from mexpress import _validation as check
+from mexpress import files, matches
+from mexpress._validation import Floats
+from mexpress.cli import common
+from mexpress.surfaces import Surface
+from mexpress.warps import Warp
+
+__all__ = ["add_apply"]
+
+
+def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "apply",
+        help="evaluate a saved model at points",
+        description="Map points from the source image to the target image with the warp in a file, or evaluate "
+        "the surface in a file at points: a depth as column z, a point in space as columns x, y, z.",
+    )
+    add = parser.add_argument
+    add(
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="warp.npz of `mexpress warp`, or surface.npz of `mexpress surface`",
+    )
+    add("points", metavar="POINTS", type=Path, help="text with columns x y, .npz or .npy")
+    add(
+        "--inverse",
+        action="store_true",
+        help="of a warp: from the target image to the source image; nan where impossible",
+    )
+    add("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    model = files.load(arguments.model)
+    points = matches.read_points(arguments.points)
+    if isinstance(model, Warp):
+        mapped = model.inverse(points) if arguments.inverse else model(points)
+        _write(mapped, arguments.out)
+        _note_doubtful(model, mapped if arguments.inverse else points, mapped)
+    elif isinstance(model, Surface):
+        if arguments.inverse:
+            raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
+        _write(model(points), arguments.out)
+        common.note_outside(model.domain, points, len(points), "the region of the data: the surface")
+    else:
+        check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
+
+
+def _write(values: Floats, path: Path | None) -> None:
+    table = values.reshape(len(values), -1)
+    names = {1: ("z",), 2: ("x", "y"), 3: ("x", "y", "z")}
+    columns = names.get(table.shape[1]) or [f"value{k}" for k in range(1, table.shape[1] + 1)]
+    if path is None:
+        matches.write_points_csv(sys.stdout, table, columns)
+        return
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        matches.write_points_csv(file, table, columns)
+
+
+def _note_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
+    total = len(mapped)
+    lost = (~np.isfinite(mapped).all(axis=1)).sum()
+    if lost:
+        common.note(f"{lost} of {total} points have no image")
+    source = source[np.isfinite(source).all(axis=1)]
+    common.note_outside(warp.domain, source, total, "the region of the matches: the warp")
+    vanishing = warp.vanishes(source).sum() if len(source) else 0
+    if vanishing:
+        what = "are where the warp's denominator vanishes: their images mean nothing"
+        common.note(f"{vanishing} of {total} points {what}")

@@ -1,0 +1,159 @@
+"""What the commands share: options, notes, and the files of a selection."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from mexpress import reports
+from mexpress._validation import Floats
+from mexpress.selection import Selection
+
+__all__ = [
+    "Parser",
+    "UsageError",
+    "add_selection",
+    "draw",
+    "finite",
+    "note",
+    "note_outside",
+    "note_selection",
+    "print_selection",
+    "write_selection",
+]
+
+
+class Parser(argparse.ArgumentParser):
+    """Errors are one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise `UsageError`."""
+        raise UsageError(f"{message} ({self.prog} --help tells more)")
+
+
+class UsageError(Exception):
+    """The command line cannot be understood."""
+
+
+def note(message: str) -> None:
+    """Tell something beside the results."""
+    print(f"mexpress: {message}", file=sys.stderr)
+
+
+def add_selection(parser: Parser) -> None:
+    """Add the options that every selection has."""
+    add = parser.add_argument
+    add(
+        "--criterion",
+        default="ER10",
+        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, ... (default: ER10)",
+    )
+    add("--criteria", type=_names, metavar="A,B,...", help="also shown (default: FIT,PRESS,CMPRESS)")
+    add(
+        "--smoothing",
+        type=float,
+        default=0.0,
+        metavar="W",
+        help="weight of the bending energy: larger is stiffer (default: 0)",
+    )
+    add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
+    add(
+        "--threads",
+        type=int,
+        metavar="N",
+        help="at most so many (default: MEXPRESS_NUM_THREADS, or all cores)",
+    )
+    add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
+    add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
+    add("--quiet", action="store_true", help="show no progress")
+
+
+def _names(text: str) -> list[str]:
+    return [name for name in re.split(r"[,\s]+", text) if name]
+
+
+def print_selection(selection: Selection, remark: str = "") -> None:
+    """Print the table, a remark on it, and what is selected."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    print(reports.table(selection, width=width))
+    if remark:
+        print(f"({remark})")
+    best = selection.curves[selection.criterion][selection.counts == selection.count][0]
+    print(
+        f"\n{selection.criterion} selects {selection.count} control points: {selection.criterion} {best:.4g}."
+    )
+
+
+def note_selection(selection: Selection, lost: str, advice: str) -> None:
+    """Note what makes a selection doubtful.
+
+    Parameters
+    ----------
+    selection : Selection
+        What was selected.
+    lost : str
+        What is lost where a criterion is undefined, such as "the warp for match".
+    advice : str
+        What to do when the largest number of control points tried is the selected one.
+    """
+    counts = selection.counts
+    if selection.count == counts[-1] and len(counts) > 1:
+        note(f"{selection.count} is the largest number tried: more may be better, see {advice}.")
+    for name, by_count in selection.undefined.items():
+        first = min(by_count)
+        some = ", ".join(map(str, by_count[first][:5])) + (", ..." if len(by_count[first]) > 5 else "")
+        if len(counts) > len(by_count) == (counts >= first).sum():
+            where = f"from {first} control points on"
+        else:
+            where = f"at {len(by_count)} of {len(counts)} numbers of control points, first at {first}"
+        note(f"{name} has no score {where}: what it leaves does not determine {lost} {some} (from 0).")
+
+
+def write_selection(arguments: argparse.Namespace, selection: Selection, more: dict[str, Any]) -> list[str]:
+    """Write what every selection has; return the names of the files."""
+    command = {name: _json(value) for name, value in vars(arguments).items() if name != "run"}
+    reports.write_summary(
+        arguments.out / "selection.json", {"command": command, **reports.summary(selection), **more}
+    )
+    reports.write_curves(arguments.out / "curves.csv", selection)
+    return ["selection.json", "curves.csv"]
+
+
+def _json(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value
+
+
+def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]]) -> list[str]:
+    """Draw every plot into the file of its name, if plots are wanted and can be made; return the names."""
+    if not arguments.plots:
+        return []
+    try:
+        for name, plot in plots.items():
+            plot(arguments.out / name)
+    except ImportError as error:  # the numbers are worth more than the plots
+        note(f"no plots. {error}")
+        return []
+    return list(plots)
+
+
+def finite(value: Any) -> float | None:
+    """Return a number as JSON has it."""
+    return float(value) if np.isfinite(value) else None
+
+
+def note_outside(domain: Floats, points: Floats, total: int, region: str) -> None:
+    """Note how many points are outside a model's domain, a convex polygon with counter-clockwise corners."""
+    edges = np.roll(domain, -1, axis=0) - domain
+    about = points[:, None] - domain
+    turns = edges[:, 0] * about[..., 1] - edges[:, 1] * about[..., 0]
+    slack = 1e-9 * np.ptp(domain, axis=0).max() * np.hypot(*edges.T)
+    outside = (turns < -slack).any(axis=1).sum()
+    if outside:
+        note(f"{outside} of {total} points are outside {region} extrapolates there")

@@ -1,0 +1,199 @@
+"""`mexpress surface`: select and fit a surface to a depth map or a point cloud."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mexpress import plotting
+from mexpress._validation import Floats
+from mexpress.cli import common
+from mexpress.clouds import Cloud, read_cloud
+from mexpress.selection import SurfaceSelection, select_surface
+from mexpress.tables import ARCHIVES
+
+__all__ = ["add_surface"]
+
+_DATA = 10_000
+"""As many data as the paper's depth maps have."""
+
+
+def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "surface",
+        help="select and fit a surface to a depth map or a point cloud",
+        description="Fit surfaces with more and more control points to a depth map or a point cloud, and "
+        "select one. The output directory gets selection.json, curves.csv, surface.npz, meshes surface.ply "
+        "and surface.obj, and curves.png, surface.png, residuals.png and control_points.png.",
+    )
+    add = parser.add_argument
+    add(
+        "input",
+        metavar="INPUT",
+        type=Path,
+        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz or text with columns x y z "
+        "or u v x y z",
+    )
+    add("--scale", type=float, metavar="S", help="a depth map's units per metre (default: 1000 for images)")
+    add(
+        "--intrinsics",
+        type=_intrinsics,
+        metavar="FX,FY,CX,CY",
+        help="the camera in pixels: fit points in space instead of depths, in metres",
+    )
+    add("--unit", metavar="NAME", help="of the values, for texts and plots (default: m for depth images)")
+    number = parser.add_mutually_exclusive_group()
+    number.add_argument(
+        "--data",
+        type=int,
+        default=_DATA,
+        metavar="N",
+        help=f"draw so many of the data at random if there are more (default: {_DATA})",
+    )
+    number.add_argument("--all", action="store_true", help="use every datum")
+    add(
+        "--max-count",
+        type=int,
+        default=175,
+        metavar="N",
+        help="largest number of control points (default: 175)",
+    )
+    add(
+        "--min-distance",
+        type=float,
+        metavar="D",
+        help="of control points to each other (default: 2.5 %% of the diagonal)",
+    )
+    common.add_selection(parser)
+    parser.set_defaults(run=_run)
+
+
+def _intrinsics(text: str) -> tuple[float, ...]:
+    try:
+        fx, fy, cx, cy = map(float, text.split(","))
+    except ValueError:
+        message = f"must be FX,FY,CX,CY in pixels, such as 525,525,319.5,239.5, not {text!r}"
+        raise argparse.ArgumentTypeError(message) from None
+    return fx, fy, cx, cy
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    most = None if arguments.all else arguments.data
+    cloud = read_cloud(arguments.input, arguments.scale, arguments.intrinsics, most, arguments.seed)
+    unit = arguments.unit or _unit(arguments, cloud)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    selection = select_surface(
+        cloud.points,
+        cloud.values,
+        criterion=arguments.criterion,
+        criteria=arguments.criteria,
+        max_count=arguments.max_count,
+        min_distance=arguments.min_distance,
+        smoothing=arguments.smoothing,
+        seed=arguments.seed,
+        threads=arguments.threads,
+        progress=not arguments.quiet,
+    )
+    fit = _fit(selection)
+    _print(selection, cloud, unit, fit["residuals"])
+    _note(arguments, selection)
+    more = {
+        "n_data": len(cloud.points),
+        "n_valid": cloud.n_valid,
+        "n_missing": cloud.n_missing,
+        "image_size": cloud.image_size,
+        "unit": unit,
+        "surface": fit,
+        "control_points": selection.control_points.tolist(),
+    }
+    written = common.write_selection(arguments, selection, more)
+    selection.surface.save(arguments.out / "surface.npz")
+    written += ["surface.npz", *_write_meshes(arguments.out, selection, cloud)]
+    written += common.draw(arguments, _plots(selection, cloud, unit))
+    print(f"\n{arguments.out}: {', '.join(written)}")
+
+
+def _unit(arguments: argparse.Namespace, cloud: Cloud) -> str | None:
+    """Return the unit of the values, if it is known: images of depths are read in metres."""
+    image = cloud.image_size is not None and arguments.input.suffix.lower() not in ARCHIVES
+    return "m" if image or arguments.scale is not None else None
+
+
+def _fit(selection: SurfaceSelection) -> dict[str, Any]:
+    """Return what there is to know about a surface besides its score."""
+    residuals = selection.values - selection.surface(selection.points)
+    sizes = np.linalg.norm(residuals.reshape(len(residuals), -1), axis=1)
+    return {
+        "file": "surface.npz",
+        "dimension": _dimension(selection.values),
+        "control_points": selection.count,
+        "residuals": {
+            "rms": common.finite(np.sqrt((sizes**2).mean())),
+            "median": common.finite(np.median(sizes)),
+            "largest": common.finite(sizes.max()),
+        },
+    }
+
+
+def _dimension(values: Floats) -> int:
+    return 1 if values.ndim == 1 else values.shape[1]
+
+
+def _print(
+    selection: SurfaceSelection, cloud: Cloud, unit: str | None, residuals: dict[str, float | None]
+) -> None:
+    total = f" of {cloud.n_valid}" if cloud.n_valid > len(cloud.points) else ""
+    missing = f" ({cloud.n_missing} more are missing)" if cloud.n_missing else ""
+    dimension, counts = _dimension(cloud.values), selection.counts
+    one = "depths" if cloud.image_size else "values"
+    kind = one if dimension == 1 else f"points in R^{dimension}"
+    print(
+        f"{len(cloud.points)}{total} {kind}{missing}, surfaces with {counts[0]} to {counts[-1]} control points; "
+        f"{unit or 'unit of the data'}; * smallest\n"
+    )
+    common.print_selection(selection)
+    sizes = ", ".join(
+        f"{name} {'undefined' if size is None else f'{size:.3g}'}" for name, size in residuals.items()
+    )
+    print(f"Residuals of the surface, in {unit or 'the unit of the data'}: {sizes}.")
+
+
+def _note(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
+    ended = selection.counts[-1] < arguments.max_count
+    common.note_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
+    if ended:
+        common.note(
+            f"{selection.counts[-1]} control points are all that there is room for, see --min-distance."
+        )
+
+
+def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[str]:
+    """Write what has a place in space; return the names of the files."""
+    if _dimension(cloud.values) not in {1, 3}:
+        common.note("no meshes and no surface.png: they need depths or points in space.")
+        return []
+    names = ["surface.ply", "surface.obj"]
+    for name in names:
+        selection.surface.write_mesh(out / name)
+    if cloud.image_size and _dimension(cloud.values) == 1:
+        common.note("the meshes have x and y in pixels; with --intrinsics they are in metres like the depth.")
+    return names
+
+
+def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
+    surface, data = selection.surface, (selection.points, selection.values)
+    more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
+    plots: dict[str, Callable[[Path], Any]] = {
+        "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
+        "surface.png": lambda path: plotting.plot_surface(surface, *data, path, **more),
+        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more),
+        "control_points.png": lambda path: plotting.plot_control_points(selection, path, **more),
+    }
+    if _dimension(cloud.values) not in {1, 3}:
+        del plots["surface.png"]
+    return plots

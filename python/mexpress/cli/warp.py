@@ -1,0 +1,176 @@
+"""`mexpress warp`: select and fit the warp between two images."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import matches, plotting
+from mexpress.cli import common
+from mexpress.images import read_image
+from mexpress.placement import lattice
+from mexpress.selection import WarpSelection, select_warp
+
+__all__ = ["add_warp"]
+
+_SAMPLES = 4000
+"""Points at which a warp is searched for folds."""
+
+_IMAGE_SIZE_HELP = (
+    "size of the source image in pixels, such as 1920x1080: ERxx is in percent of its diagonal "
+    "(default: that of --source-image, else of the matches' bounding box)"
+)
+
+
+def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "warp",
+        help="select and fit the warp between two images",
+        description="Fit warps with more and more control points to matched points of two images, and "
+        "select one. The output directory gets selection.json, curves.csv, warp.npz, curves.png, warp.png, and "
+        "with both images registered.png.",
+    )
+    add = parser.add_argument
+    add("matches", metavar="MATCHES", type=Path, help="text with columns x1 y1 x2 y2, .npz or .npy")
+    add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
+    add("--lifting", default="tps", help="functions that bend the plane (default: tps)")
+    add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
+    add("--placement", default="lloyd", help="how control points are spread (default: lloyd)")
+    add(
+        "--counts",
+        type=_counts,
+        metavar="A:B[:STEP]",
+        help="numbers of control points, B included; or a list, 3,5,9",
+    )
+    common.add_selection(parser)
+    add("--source-image", type=Path, metavar="FILE", help="for registered.png")
+    add("--target-image", type=Path, metavar="FILE", help="for registered.png")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    source, target = matches.read_matches(arguments.matches)
+    images = _images(arguments)
+    size = arguments.image_size
+    if size is None and images:
+        size = images[0].shape[1::-1]
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    selection = select_warp(
+        source,
+        target,
+        criterion=arguments.criterion,
+        criteria=arguments.criteria,
+        lifting=arguments.lifting,
+        fractional=arguments.fractional,
+        counts=arguments.counts,
+        placement=arguments.placement,
+        smoothing=arguments.smoothing,
+        image_size=size,
+        seed=arguments.seed,
+        threads=arguments.threads,
+        progress=not arguments.quiet,
+    )
+    health = _health(selection)
+    _print(selection, health)
+    more = {"n_matches": len(source), "image_size": size, "warp": health}
+    written = common.write_selection(arguments, selection, more)
+    selection.warp.save(arguments.out / "warp.npz")
+    written += ["warp.npz", *common.draw(arguments, _plots(selection, images))]
+    print(f"\n{arguments.out}: {', '.join(written)}")
+
+
+def _images(arguments: argparse.Namespace) -> list[NDArray[Any]]:
+    """Read both images, if both are given: before the long work, so that a wrong name costs no time."""
+    given = [arguments.source_image, arguments.target_image]
+    if given == [None, None]:
+        return []
+    if None in given:
+        raise common.UsageError("--source-image and --target-image belong together")
+    return [read_image(path) for path in given]
+
+
+def _health(selection: WarpSelection) -> dict[str, Any]:
+    """Return what there is to know about a warp besides its score."""
+    warp = selection.warp
+    errors = np.hypot(*(selection.target - warp(selection.source)).T)
+    inside = lattice(warp.domain, _SAMPLES)
+    vanishes = warp.vanishes(inside)
+    return {
+        "file": "warp.npz",
+        "lifting": warp.lifting.name,
+        "fractional": warp.fractional,
+        "control_points": warp.control_points.tolist(),
+        "transfer_error": {
+            "rms": common.finite(np.sqrt((errors**2).mean())),
+            "median": common.finite(np.median(errors)),
+            "largest": common.finite(errors.max()),
+        },
+        "folded": float((warp.folds(inside) & ~vanishes).mean()),
+        "vanishing": float(vanishes.mean()),
+    }
+
+
+def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
+    counts = selection.counts
+    form = "fractional " if health["fractional"] else ""
+    tried = (
+        f"{counts[0]} to {counts[-1]} control points" if len(counts) > 1 else f"{counts[0]} control points"
+    )
+    print(
+        f"{len(selection.source)} matches, {form}{health['lifting']} warps with {tried}; pixels; * smallest\n"
+    )
+    remark = "PRESS averages over the rows of the design, the others over the matches."
+    common.print_selection(selection, remark if "PRESS" in selection.curves else "")
+    errors = ", ".join(
+        f"{name} {'undefined' if error is None else f'{error:.3g}'}"
+        for name, error in health["transfer_error"].items()
+    )
+    print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
+    common.note_selection(selection, "the warp for match", "--counts")
+    for key, what in (("folded", "folds"), ("vanishing", "has a denominator that vanishes")):
+        if health[key] > 0:
+            share = f"{100 * health[key]:.2g} %"
+            common.note(f"the warp {what} over {share} of the region of the matches: do not trust it there.")
+
+
+def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
+    warp, source, target = selection.warp, selection.source, selection.target
+    plots: dict[str, Callable[[Path], Any]] = {
+        "curves.png": lambda path: plotting.plot_selection(selection, path),
+        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path),
+    }
+    if images:
+        plots["registered.png"] = lambda path: plotting.plot_registration(
+            warp, images[0], images[1], source, target, path=path
+        )
+    return plots
+
+
+def _image_size(text: str) -> tuple[float, float]:
+    parts = re.fullmatch(r"(\d+(?:\.\d+)?)[xX×](\d+(?:\.\d+)?)", text.strip())
+    size = (float(parts[1]), float(parts[2])) if parts else (0.0, 0.0)
+    if min(size) <= 0:
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 1920x1080, not {text!r}")
+    return size
+
+
+def _counts(text: str) -> list[int]:
+    try:
+        if ":" not in text:
+            return [int(part) for part in text.split(",")]
+        first, last, *step = map(int, text.split(":"))
+        (stride,) = step or (1,)
+        counts = list(range(first, last + 1, stride))
+    except ValueError:
+        counts = []
+    if not counts:
+        message = f"must be first:last, first:last:step or a list such as 3,5,9, not {text!r}"
+        raise argparse.ArgumentTypeError(message)
+    return counts

@@ -1,0 +1,267 @@
+"""Criteria against the number of control points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mexpress._validation import Floats, Integers
+from mexpress.criteria import Criterion, parse
+from mexpress.plotting.figures import (
+    BLUE,
+    GRAY,
+    GREEN,
+    ORANGE,
+    RED,
+    SKY,
+    PathLike,
+    new_figure,
+    saved,
+    with_unit,
+)
+from mexpress.reports import UNITLESS
+from mexpress.selection import Selection, WarpSelection
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_selection"]
+
+_HUES: dict[str, tuple[tuple[str, ...], str]] = {
+    "FIT": ((GRAY,), "-"),
+    "PRESS": ((SKY,), "-"),
+    "CMPRESS": ((BLUE,), "-"),
+    "ER": ((ORANGE, RED, "#7A2E00"), "-"),
+    "NN": (("#5CBF9F", GREEN, "#004D38"), "--"),
+    "DELAUNAY": (("#8C6D1F",), "--"),
+    "KF": (("#E3B5CF", "#CC79A7", "#7B3F63"), "-."),
+    "LPO": (("#B9A5DB", "#5B3A9B", "#341F61"), "-."),
+    "RS": (("#B9A5DB", "#5B3A9B", "#341F61"), ":"),
+    "AIC": (("#000000",), "--"),
+    "BIC": (("#000000",), ":"),
+    "GCV": (("#000000",), "-."),
+}
+"""Colours and line style of every family: from the smallest sets that are held out to the largest."""
+
+_OWN = ("#5B3A9B", "#8C6D1F", "#CC79A7", "#44AA99", "#882255")
+"""Colours of schemes that are the user's own."""
+
+_LABELS, _GAP = 1.05, 0.047
+"""Where labels are, and their distance, as fractions of the width and the height of the axes."""
+
+
+def plot_selection(selection: Selection, path: PathLike | None = None, *, unit: str | None = None) -> Figure:
+    """Plot every criterion against the number of control points, and what each would select.
+
+    A label at the end of every curve names its criterion and what that selects; the criteria that hold out
+    smaller or larger neighbourhoods have lighter or darker tones of one colour, and criteria with the same
+    curve share a line. AIC and BIC have no unit: the plot shows a * AIC + b, with a and b such that it
+    is nearest to FIT (or the chosen criterion, if there is no FIT) by least squares over all counts, among
+    those with a positive, so that minima stay minima, and with no value below half of FIT's smallest, so that
+    the axis may be logarithmic. Where least squares would want a negative a, it is such that both curves have
+    the same standard deviation.
+
+    Parameters
+    ----------
+    selection : Selection
+        Result of a sweep, such as `select_warp` or `select_surface`.
+    path : str or path, optional
+        Where to save the figure; the suffix says how (.png, .pdf, .svg).
+    unit : str, optional
+        Of the criteria; by default pixels for warps, and for others the unit of the data.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> source = np.random.default_rng(0).uniform(0, 100, (40, 2))
+    >>> target = source + np.sin(source / 20)
+    >>> plot_selection(mx.select_warp(source, target, counts=range(3, 12)))
+    <Figure size ...>
+    """
+    figure = new_figure(8.6, 5.0)
+    axes = figure.subplots()
+    curves, rescaled = _on_one_axis(selection.curves, selection.criterion)
+    looks = _looks(list(curves))
+    _set_limits(axes, curves, selection)
+    labels: dict[str, tuple[float, str, bool]] = {}
+    for names in _alike(curves, selection.criterion):
+        colour, style = looks[names[0]]
+        chosen = selection.criterion in names
+        best, curve = selection.selected[names[0]], curves[names[0]]
+        _draw(axes, (selection.counts, curve), best, (colour, "-" if chosen else style), chosen)
+        labels[_label(names, best, rescaled, selection)] = (_end(axes, curve), colour, chosen)
+    _write_labels(axes, labels)
+    axes.set_xlabel("number of control points")
+    default = "pixels of the target image" if isinstance(selection, WarpSelection) else None
+    axes.set_ylabel(with_unit("criterion", unit or default))
+    axes.set_title(f"{selection.criterion} selects {selection.count} control points", loc="left")
+    axes.grid(alpha=0.25, lw=0.6)
+    return saved(figure, path)
+
+
+def _on_one_axis(curves: Mapping[str, Floats], criterion: str) -> tuple[dict[str, Floats], set[str]]:
+    """Bring curves without a unit onto one that has one; their names are returned too."""
+    anchor = next((n for n in ("FIT", criterion, *curves) if n in curves and n not in UNITLESS), None)
+    names = {name for name in curves if name in UNITLESS} if anchor is not None else set()
+    onto = np.asarray(curves[anchor or criterion], dtype=np.float64)
+    moved = {
+        name: _rescaled(curve, onto) if name in names else np.asarray(curve, dtype=np.float64)
+        for name, curve in curves.items()
+    }
+    return moved, names
+
+
+def _rescaled(curve: Floats, onto: Floats) -> Floats:
+    """Return a * curve + b that is nearest to another curve, a > 0, not below half of that one's minimum."""
+    usable = np.isfinite(curve) & np.isfinite(onto)
+    if not usable.any():
+        return np.full_like(curve, np.nan)
+    x, y = curve[usable] - curve[usable].min(), onto[usable]
+    spread, lowest = float(np.std(x)) or 1.0, 0.5 * float(y.min())
+    scale = float(((x - x.mean()) * y).mean()) / spread**2
+    if scale <= 0:  # would turn the curve over, its minimum into a maximum
+        scale = float(np.std(y)) / spread
+    offset = float(y.mean() - scale * x.mean())
+    if offset < lowest:
+        offset, scale = lowest, float((x * (y - lowest)).sum() / (x**2).sum())
+    return np.asarray(offset + scale * (curve - curve[usable].min()))
+
+
+def _alike(curves: Mapping[str, Floats], criterion: str) -> list[list[str]]:
+    """Return the names of curves, those together that cannot be told apart; the chosen criterion last."""
+    groups: list[list[str]] = []
+    for name, curve in curves.items():
+        same = (g for g in groups if np.allclose(curves[g[0]], curve, rtol=1e-6, atol=0, equal_nan=True))
+        group = next(same, None)
+        if group is None:
+            groups.append([name])
+        else:
+            group.append(name)
+    return sorted(groups, key=lambda group: criterion in group)
+
+
+def _looks(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return every criterion's colour and line style."""
+    parsed = {name: _criterion(name) for name in names}
+    families: dict[str, list[str]] = {}
+    for name, criterion in sorted(parsed.items(), key=lambda item: (item[1].family, item[1].amount)):
+        families.setdefault(
+            criterion.family[:2] if criterion.family[:2] == "NN" else criterion.family, []
+        ).append(name)
+    looks = {}
+    for family, members in families.items():
+        tones, style = _HUES.get(family, (_OWN, "-"))
+        for k, name in enumerate(members):
+            looks[name] = (
+                (_tone(tones, k, len(members)), style) if family in _HUES else (tones[k % len(tones)], style)
+            )
+    return looks
+
+
+def _criterion(name: str) -> Criterion:
+    try:
+        return parse(name)
+    except ValueError:  # a scheme of the user's own
+        return Criterion(name, "own", 0.0)
+
+
+def _tone(tones: Sequence[str], k: int, number: int) -> str:
+    """Return the k-th of a number of colours from the first tone to the last."""
+    at = 0.5 if number == 1 else k / (number - 1)
+    channels = np.array([[int(tone[i : i + 2], 16) for i in (1, 3, 5)] for tone in tones])
+    mixed = (np.interp(at, np.linspace(0, 1, len(tones)), channel) for channel in channels.T)
+    return "#" + "".join(f"{round(value):02X}" for value in mixed)
+
+
+def _set_limits(axes: Axes, curves: Mapping[str, Floats], selection: Selection) -> None:
+    """Logarithms when the values span much; values far above the selected one leave the frame."""
+    first, last = float(selection.counts[0]), float(selection.counts[-1])
+    margin = 0.02 * (last - first) or 0.5
+    axes.set_xlim(first - margin, last + margin)
+    defined = [curve[np.isfinite(curve)] for curve in curves.values()]
+    values = np.concatenate(defined)
+    if not values.size:
+        return
+    low, high = float(values.min()), float(values.max())
+    chosen = curves[selection.criterion]
+    least = float(chosen[np.isfinite(chosen)].min(initial=np.inf))
+    top = max(1.5 * max(float(c[0]) for c in defined if c.size), 10 * least if np.isfinite(least) else low)
+    if low <= 0 or high < 5 * low:
+        room = 0.05 * (min(high, top) - low) or 0.05 * abs(high) or 1.0
+        axes.set_ylim(low - room, min(high, max(top, low + room)) + room)
+        return
+    axes.set_yscale("log", subs=(2, 5) if top < 1000 * low else ())
+    axes.set_ylim(low / 1.15, min(top, 1.15 * high))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("{x:g}")
+
+
+def _draw(
+    axes: Axes, line: tuple[Integers, Floats], best: int | None, look: tuple[str, str], chosen: bool
+) -> None:
+    """Draw a curve, mark what it selects, and make the chosen criterion's stand out."""
+    counts, curve = line
+    colour, style = look
+    axes.plot(counts, curve, style, color=colour, lw=2.8 if chosen else 1.4, zorder=4 if chosen else 3)
+    if best is None:
+        return
+    axes.plot(best, curve[counts == best], "o", color=colour, ms=10 if chosen else 6, mec="white", zorder=6)
+    if chosen:
+        axes.axvline(best, color=colour, lw=1, alpha=0.4, zorder=1)
+
+
+def _label(names: Sequence[str], best: int | None, rescaled: set[str], selection: Selection) -> str:
+    notes = [" (rescaled)" if name in rescaled else "" for name in names]
+    if isinstance(selection, WarpSelection):  # two rows a match
+        notes = [" (per row)" if name == "PRESS" else note for name, note in zip(names, notes, strict=True)]
+    title = " = ".join(name + note for name, note in zip(names, notes, strict=True))
+    return f"{title}: {'none' if best is None else best}"
+
+
+def _end(axes: Axes, curve: Floats) -> float:
+    """Return where a curve ends, as a fraction of the height of the axes; NaN if it is nowhere."""
+    known = curve[np.isfinite(curve)]
+    if not known.size:
+        return np.nan
+    end = axes.transData.transform((0.0, known[-1]))
+    return float(np.clip(axes.transAxes.inverted().transform(end)[1], 0.0, 1.0))
+
+
+def _write_labels(axes: Axes, labels: Mapping[str, tuple[float, str, bool]]) -> None:
+    """Write labels beside the ends of the curves, moved apart where they are too near to each other."""
+    ends = np.array([end for end, _, _ in labels.values()])
+    places = _apart(np.nan_to_num(ends, nan=0.0), min(_GAP, 1 / len(ends)))
+    beside: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
+    axes.text(_LABELS, 1.035, "criterion: what it selects", fontsize=9, color=GRAY, **beside)
+    for (text, (end, colour, chosen)), place in zip(labels.items(), places, strict=True):
+        if np.isfinite(end):
+            axes.plot((1, _LABELS - 0.01), (end, place), color=colour, lw=0.8, **beside)
+        weight = "bold" if chosen else "normal"
+        axes.text(_LABELS, place, text, va="center", fontsize=9.5, weight=weight, color=colour, **beside)
+
+
+def _apart(wanted: Floats, gap: float) -> Floats:
+    """Return the places from 0 to 1 that are nearest to those wanted, by least squares, and a gap apart."""
+    order = np.argsort(wanted, kind="stable")
+    steps = gap * np.arange(len(wanted))
+    free = wanted[order] - steps
+    number = range(len(free))
+    # What is left is to make a sequence that does not fall (isotonic regression, by its minimax formula).
+    means = [[free[i : j + 1].mean() if j >= i else np.inf for j in number] for i in number]
+    rising = np.array([max(min(means[i][k:]) for i in range(k + 1)) for k in number])
+    places = np.empty_like(wanted)
+    places[order] = np.clip(rising, 0, 1 - steps[-1]) + steps
+    return places

@@ -1,0 +1,392 @@
+"""Surfaces with the data that they were fitted to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.plotting.figures import (
+    BLUE,
+    RED,
+    PathLike,
+    frame,
+    new_figure,
+    percentile,
+    saved,
+    with_unit,
+)
+from mexpress.plotting.solids import Solid, draw_solid
+from mexpress.selection import SurfaceSelection
+from mexpress.surfaces import Surface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_control_points", "plot_residuals", "plot_surface"]
+
+_LAST = 10
+"""Control points that came last, as in the paper's figure 7."""
+
+_NUMBERED = 9
+"""About so many control points are numbered."""
+
+_WIDTH = 7.0
+"""Inches along the longer side of a map."""
+
+_FEW, _CELLS = 2000, 600
+"""So many data are dots; an image of more has at most so many cells along a side."""
+
+_SAMPLES = 40_000
+"""Samples of a surface that is shown as an image."""
+
+ImageSize = tuple[float, float] | None
+
+
+def plot_surface(
+    surface: Surface,
+    points: ArrayLike,
+    values: ArrayLike,
+    path: PathLike | None = None,
+    *,
+    image_size: ImageSize = None,
+    unit: str | None = None,
+) -> Figure:
+    """Plot a surface together with the data.
+
+    Of depths: the data and the surface as maps of the same colours, and the surface in space, shaded, with
+    data as dots. Of points in space: the shaded surface with the data from two sides. Data on the far side of
+    the surface are hidden by it; if there are many, some are shown.
+
+    Parameters
+    ----------
+    surface : Surface
+        With one value or three.
+    points : array_like, (n, 2)
+        Where the data are.
+    values : array_like, (n,) or (n, 3)
+        The data.
+    path : str or path, optional
+        Where to save the figure.
+    image_size : (width, height), optional
+        Of the depth map in pixels, if the points are its pixels: y then points down, and the view is the
+        camera's, from a little aside. Otherwise a depth is shown as a height over the plane.
+    unit : str, optional
+        Of the values.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+    ValueError
+        If the surface has neither one value nor three, or the data do not fit it.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> points = np.random.default_rng(0).uniform(0, 9, (50, 2))
+    >>> depth = np.sin(points[:, 0])
+    >>> plot_surface(mx.fit_surface(points, depth, points[:9]), points, depth)
+    <Figure size ...>
+    """
+    where, measured = _data(surface, points, values)
+    if measured.ndim == 2 and measured.shape[1] != 3:
+        rule = "It must have one value, a depth, or three, a point in space, to be drawn."
+        check.refuse("surface", rule, f"{measured.shape[1]} values")
+    size = check.image_size(image_size)
+    if measured.ndim == 1:
+        return saved(_depth_figure(surface, where, measured, size, unit), path)
+    solid = Solid.of_points(surface, measured, in_camera=size is not None, unit=unit)
+    figure = new_figure(12.0, 5.6)
+    for k, view in enumerate(solid.views):
+        axes = figure.add_subplot(1, 2, k + 1, projection="3d")
+        draw_solid(axes, solid, view)
+    figure.suptitle(f"{_title(surface)}, with the data, from two sides")
+    return saved(figure, path)
+
+
+def _depth_figure(
+    surface: Surface, points: Floats, depths: Floats, size: ImageSize, unit: str | None
+) -> Figure:
+    wide, high = _shape(points, size)
+    figure = new_figure(12.5, float(np.clip(9.6 * high / wide + 0.8, 5.0, 9.5)))
+    cells = figure.add_gridspec(2, 2, width_ratios=(1, 1.6))
+    maps = [figure.add_subplot(cells[k, 0]) for k in (0, 1)]
+    limits: dict[str, Any] = {"vmin": percentile(depths, 1), "vmax": percentile(depths, 99)}
+    _draw_data(maps[0], surface, points, depths, **limits)
+    grid = surface.grid(step=float(np.sqrt(wide * high / _SAMPLES)))
+    known = np.ma.masked_invalid(grid.values)
+    shown = maps[1].pcolormesh(grid.x, grid.y, known, shading="nearest", **limits)
+    for axes, title in zip(maps, (f"{len(points)} data", _title(surface)), strict=True):
+        _set_frame(axes, points, size)
+        axes.set_title(title, loc="left")
+    solid = Solid.of_depths(surface, points, depths, image_size=size, unit=unit)
+    draw_solid(figure.add_subplot(cells[:, 1], projection="3d"), solid, solid.views[0])
+    label = with_unit("value" if size is None else "depth", unit)
+    figure.colorbar(shown, ax=maps, label=label, extend="both", location="left", aspect=40, shrink=0.7)
+    return figure
+
+
+def plot_residuals(
+    surface: Surface,
+    points: ArrayLike,
+    values: ArrayLike,
+    path: PathLike | None = None,
+    *,
+    image_size: ImageSize = None,
+    unit: str | None = None,
+) -> Figure:
+    """Plot the residuals of a surface where the data are.
+
+    Of depths they have a sign, data minus surface; of several values their norm is shown. The colours end at
+    the 98th percentile of their sizes, so that a few wrong data do not hide the others.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface.
+    points : array_like, (n, 2)
+        Where the data are.
+    values : array_like, (n,) or (n, d)
+        The data.
+    path : str or path, optional
+        Where to save the figure.
+    image_size : (width, height), optional
+        Of the depth map in pixels, if the points are its pixels: y then points down.
+    unit : str, optional
+        Of the values.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+    ValueError
+        If the data do not fit the surface.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> points = np.random.default_rng(0).uniform(0, 9, (50, 2))
+    >>> depth = np.sin(points[:, 0])
+    >>> plot_residuals(mx.fit_surface(points, depth, points[:9]), points, depth)
+    <Figure size ...>
+    """
+    where, measured = _data(surface, points, values)
+    size = check.image_size(image_size)
+    residuals = measured - surface(where)
+    sizes = np.abs(residuals) if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
+    limit = percentile(sizes, 98) or 1.0
+    figure, axes = _map_figure(where, size)
+    if residuals.ndim == 1:
+        look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+        name, colours, extend = "data minus surface", residuals, "both"
+    else:
+        look = {"cmap": "viridis", "vmin": 0, "vmax": limit}
+        name, colours, extend = "distance of the data from the surface", sizes, "max"
+    dots = _draw_data(axes, surface, where, colours, **look)
+    axes.plot(*surface.control_points.T, "+", color="black", ms=6, mew=0.9, label="control points")
+    _set_frame(axes, where, size, residuals.ndim == 1)
+    figure.colorbar(
+        dots, ax=axes, label=with_unit(name, unit), extend=extend, aspect=30, shrink=0.85, pad=0.02
+    )
+    rms, median = float(np.sqrt((sizes**2).mean())), float(np.median(sizes))
+    figures = f"RMS {rms:.3g}, median {median:.3g}" + (f" {unit}" if unit else "")
+    axes.set_title(f"residuals of the {_title(surface)}: {figures}", loc="left")
+    figure.legend(loc="outside lower center", frameon=False)
+    return saved(figure, path)
+
+
+def plot_control_points(
+    selection: SurfaceSelection,
+    path: PathLike | None = None,
+    *,
+    image_size: ImageSize = None,
+    unit: str | None = None,
+) -> Figure:
+    """Plot the control points over the data, numbered in the order in which they came.
+
+    As in the paper's figure 7 the last ten are red and those before them blue. Filled are those of the selected
+    surface. Behind them are the data, in gray.
+
+    Parameters
+    ----------
+    selection : SurfaceSelection
+        Result of `select_surface`.
+    path : str or path, optional
+        Where to save the figure.
+    image_size : (width, height), optional
+        Of the depth map in pixels, if the points are its pixels: y then points down.
+    unit : str, optional
+        Of the values.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> points = np.random.default_rng(0).uniform(0, 9, (200, 2))
+    >>> plot_control_points(mx.select_surface(points, np.sin(points[:, 0]), max_count=20))
+    <Figure size ...>
+    """
+    where, size = selection.points, check.image_size(image_size)
+    figure, axes = _map_figure(where, size)
+    if selection.values.ndim == 1:
+        # No shade is so dark that marks and numbers are not seen on it.
+        look = {"vmin": percentile(selection.values, 1), "vmax": percentile(selection.values, 99)}
+        dots = _draw_data(axes, selection.surface, where, selection.values, cmap=_shades(), **look)
+        label = with_unit("value" if size is None else "depth", unit)
+        figure.colorbar(dots, ax=axes, label=label, extend="both", aspect=30, shrink=0.85, pad=0.02)
+    else:
+        axes.plot(*where.T, "s", color="0.7", ms=3, label="data")
+    _mark_control_points(axes, selection.control_points, selection.count)
+    _set_frame(axes, where, size, selection.values.ndim == 1)
+    number = len(selection.control_points)
+    chosen = f"{selection.criterion} selects the first {selection.count}"
+    axes.set_title(f"{number} control points in the order in which they came; {chosen}", loc="left")
+    figure.legend(loc="outside lower center", frameon=False, ncols=4)
+    return saved(figure, path)
+
+
+def _shades() -> Any:
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  an extra, imported where used
+
+    return LinearSegmentedColormap.from_list("shades", ["0.4", "1.0"])
+
+
+def _mark_control_points(axes: Axes, control_points: Floats, count: int) -> None:
+    number = len(control_points)
+    ranks = np.arange(1, number + 1)
+    before = max(number - _LAST, min(number, 3))
+    for some, colour, name in (
+        (ranks <= before, BLUE, f"1 to {before}"),
+        (ranks > before, RED, f"the last {number - before}"),
+    ):
+        looks: tuple[tuple[Any, dict[str, Any], str], ...] = (
+            (some & (ranks <= count), {"mfc": colour, "mec": "white", "mew": 0.9}, "selected"),
+            (some & (ranks > count), {"mfc": "none", "mec": colour, "mew": 1.6}, "not selected"),
+        )
+        for kept, look, what in looks:
+            if kept.any():
+                axes.plot(*control_points[kept].T, "o", ms=6.5, label=f"{name}, {what}", **look)
+    for rank in _numbered(number, count):
+        _write_number(axes, control_points[rank - 1], rank, BLUE if rank <= before else RED)
+
+
+def _numbered(number: int, count: int) -> list[int]:
+    """Return the ranks of the control points that are numbered: the first, some, the selected, the last."""
+    some = np.linspace(3, number, _NUMBERED).round().astype(int)
+    return sorted({1, 2, 3, count, number, *some.tolist()})
+
+
+def _write_number(axes: Axes, place: Floats, number: int, colour: str) -> None:
+    from matplotlib.patheffects import withStroke  # noqa: PLC0415  an extra, imported where used
+
+    axes.annotate(
+        f"{number}",
+        (place[0], place[1]),
+        (5, 4),
+        textcoords="offset points",
+        fontsize=9,
+        fontweight="bold",
+        color=colour,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+    )
+
+
+def _data(surface: Surface, points: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the data, (n,) if the surface has depths, otherwise (n, d)."""
+    where = check.points(points, "points")
+    measured = check.columns(values, "values", len(where))
+    width = surface.parameters.size // len(surface.parameters)
+    if measured.size != width * len(where):
+        check.refuse(
+            "values",
+            f"They must have shape ({len(where)}, {width}) like the surface's.",
+            f"shape {measured.shape}",
+        )
+    return where, measured.ravel() if width == 1 else measured
+
+
+def _title(surface: Surface) -> str:
+    return f"surface with {len(surface.control_points)} control points"
+
+
+def _shape(points: Floats, size: ImageSize) -> tuple[float, float]:
+    wide, high = np.ptp(points, axis=0) if size is None else size
+    return float(wide), float(high)
+
+
+def _map_figure(points: Floats, size: ImageSize) -> tuple[Figure, Axes]:
+    wide, high = _shape(points, size)
+    scale = min(_WIDTH / wide, _WIDTH / high)
+    figure = new_figure(max(scale * wide + 1.9, 7.0), max(scale * high + 1.5, 3.4))
+    return figure, figure.subplots()
+
+
+def _draw_data(axes: Axes, surface: Surface, points: Floats, colours: Floats, **look: Any) -> ScalarMappable:
+    """Draw numbers where the data are: dots if they are few, else an image that they fill."""
+    if len(points) <= _FEW:
+        return axes.scatter(points[:, 0], points[:, 1], c=colours, s=36, linewidths=0, **look)
+    corners = surface.domain
+    following = np.roll(corners, -1, axis=0)
+    area = 0.5 * float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    cell = max(0.75 * float(np.sqrt(area / len(points))), float(extent.max()) / _CELLS)
+    columns, rows = (extent // cell).astype(int) + 1
+    x, y = ((points - low) // cell).astype(int).T
+    number, total = (
+        np.bincount(y * columns + x, weights, rows * columns).reshape(rows, columns).astype(np.float64)
+        for weights in (None, colours)
+    )
+    right, top = low + cell * np.array([columns, rows])
+    return axes.imshow(
+        _filled(number, total),
+        extent=(low[0], right, low[1], top),
+        origin="lower",
+        interpolation="nearest",
+        **look,
+    )
+
+
+def _filled(number: Floats, total: Floats) -> Floats:
+    """Return means, in cells without data those of the cells around; NaN where these have none either."""
+    for _ in range(2):
+        around = [sliding_window_view(np.pad(array, 1), (3, 3)).sum(axis=(2, 3)) for array in (number, total)]
+        number, total = (np.where(number > 0, a, b) for a, b in zip((number, total), around, strict=True))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / number)
+
+
+def _set_frame(axes: Axes, points: Floats, size: ImageSize, depths: bool = True) -> None:
+    """Show a depth map as an image has it, y downwards, and other data as a map."""
+    if size is None:
+        frame(axes, points, y_down=False)
+        axes.set(xlabel="x" if depths else "u", ylabel="y" if depths else "v")
+        return
+    axes.set_facecolor("0.93")  # white is a shade of the data
+    axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
+    axes.set(xlabel="x (pixels)", ylabel="y (pixels)")

@@ -1,0 +1,266 @@
+import csv
+import json
+import sys
+
+import numpy as np
+import pytest
+from skimage.io import imsave
+
+import mexpress as mx
+from mexpress.cli import main
+from mexpress.clouds import read_cloud
+from mexpress.matches import read_points
+
+RNG = np.random.default_rng(2)
+ROWS, COLUMNS = np.mgrid[:30, :40]
+DEPTH = (2000 + 300 * np.sin(COLUMNS / 6) + 5 * ROWS + RNG.normal(0, 5, ROWS.shape)).astype(np.uint16)
+DEPTH[:5, :8] = 0
+SHEET = np.column_stack([RNG.uniform(0, 1, (150, 2)), RNG.uniform(0, 1, (150, 3))])
+FAST = ["--max-count", "12", "--criteria", "FIT,CMPRESS", "--quiet"]
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def depth_map(tmp_path):
+    path = tmp_path / "depth.png"
+    imsave(path, DEPTH, check_contrast=False)
+    return path
+
+
+@pytest.fixture
+def sheet(tmp_path):
+    path = tmp_path / "sheet.csv"
+    np.savetxt(path, SHEET, delimiter=",", header="u,v,x,y,z", comments="", fmt="%.17g")
+    return path
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "surface.npz"
+    mx.fit_surface(SHEET[:, :2], SHEET[:, 2], SHEET[:6, :2]).save(path)
+    return path
+
+
+def test_files_hold_what_the_library_returns(depth_map, run, tmp_path):
+    out = tmp_path / "made" / "here"
+    options = ["--scale", "500", "--data", "400", "--criterion", "ER5", "--criteria", "FIT,AIC"]
+    status, text, errors = run("surface", depth_map, *options, "--max-count", "20", "--out", out)
+    assert status == 0, errors
+    cloud = read_cloud(depth_map, scale=500, max_data=400)
+    expected = mx.select_surface(
+        cloud.points, cloud.values, criterion="ER5", criteria=["FIT", "AIC"], max_count=20
+    )
+    names = ["selection.json", "curves.csv", "surface.npz", "surface.ply", "surface.obj"]
+    names += ["curves.png", "surface.png", "residuals.png", "control_points.png"]
+    assert text.splitlines()[-1] == f"{out}: {', '.join(names)}"
+    assert {path.name for path in out.iterdir()} == set(names)
+    assert text.startswith(
+        "400 of 1160 depths (40 more are missing), surfaces with 3 to 20 control points; m;"
+    )
+    assert f"ER5 selects {expected.count} control points" in text
+    with (out / "curves.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    said = json.loads((out / "selection.json").read_text())
+    for name, curve in expected.curves.items():
+        np.testing.assert_array_equal([float(row[name]) for row in rows], curve)
+        np.testing.assert_array_equal(said["curves"][name], curve)
+    assert said["selected"] == expected.selected
+    assert said["control_points"] == expected.control_points.tolist()
+    assert (said["n_data"], said["n_valid"], said["n_missing"]) == (400, 1160, 40)
+    assert (said["unit"], said["image_size"]) == ("m", [40, 30])
+    residuals = cloud.values - expected.surface(cloud.points)
+    assert said["surface"]["residuals"]["rms"] == pytest.approx(np.sqrt((residuals**2).mean()))
+    saved = mx.load(out / "surface.npz")
+    np.testing.assert_array_equal(saved(cloud.points), expected.surface(cloud.points))
+    for name in names[-4:]:
+        assert (out / name).stat().st_size > 10_000
+    assert "with --intrinsics they are in metres" in errors
+
+
+def test_options_reach_the_library(sheet, run, tmp_path):
+    options = ["--criterion", "kf4", "--criteria", "FIT", "--max-count", "15", "--min-distance", "0.1"]
+    options += [
+        "--smoothing",
+        "0.01",
+        "--seed",
+        "7",
+        "--threads",
+        "1",
+        "--no-plots",
+        "--quiet",
+        "--unit",
+        "cm",
+    ]
+    status, text, errors = run("surface", sheet, *options, "--out", tmp_path / "out")
+    assert status == 0, errors
+    expected = mx.select_surface(
+        SHEET[:, :2],
+        SHEET[:, 2:],
+        criterion="KF4",
+        criteria=["FIT"],
+        max_count=15,
+        min_distance=0.1,
+        smoothing=0.01,
+        seed=7,
+    )
+    said = json.loads((tmp_path / "out" / "selection.json").read_text())
+    assert said["curves"]["KF4"] == expected.curves["KF4"].tolist()
+    assert said["surface"]["dimension"] == 3
+    assert not list((tmp_path / "out").glob("*.png"))
+    assert text.startswith("150 points in R^3, surfaces with")
+    assert "Residuals of the surface, in cm:" in text
+
+
+def test_every_datum(depth_map, run, tmp_path):
+    status, text, errors = run("surface", depth_map, "--all", *FAST, "--no-plots", "--out", tmp_path)
+    assert status == 0, errors
+    assert text.startswith("1160 depths (40 more are missing)")
+
+
+def test_points_of_space_by_intrinsics(depth_map, run, tmp_path):
+    camera = ["--intrinsics", "50,50,19.5,14.5"]
+    status, text, errors = run("surface", depth_map, *camera, *FAST, "--no-plots", "--out", tmp_path)
+    assert status == 0, errors
+    assert "1160 points in R^3" in text
+    assert "; m;" in text
+    assert "--intrinsics" not in errors
+    centre = mx.load(tmp_path / "surface.npz")([[19.5, 14.5]])[0]
+    assert abs(centre[:2]).max() < 0.1
+    assert 1.5 < centre[2] < 2.6
+
+
+def test_values_that_have_no_place_in_space(run, tmp_path):
+    np.savez(tmp_path / "d.npz", points=SHEET[:, :2], values=SHEET[:, :4])
+    status, text, errors = run("surface", tmp_path / "d.npz", *FAST, "--out", tmp_path / "out")
+    assert status == 0, errors
+    assert "no meshes and no surface.png" in errors
+    assert "surface.ply" not in text
+    assert {path.suffix for path in (tmp_path / "out").glob("*.*")} == {".json", ".csv", ".npz", ".png"}
+
+
+def test_what_limits_the_number_is_told(sheet, run, tmp_path):
+    command = ["surface", sheet, "--criterion", "FIT", "--no-plots", "--out", tmp_path]
+    _, _, errors = run(*command, "--max-count", "9")
+    assert "9 is the largest number tried: more may be better, see --max-count" in errors
+    _, _, errors = run(*command, "--min-distance", "0.4")
+    assert "see --min-distance" in errors
+    assert "all that there is room for" in errors
+
+
+def test_where_scores_end_is_told(run, tmp_path):
+    # Two clusters: without one of them, nothing is left to say how the surface goes on there.
+    clusters = np.vstack([SHEET[:75, :3] / [20, 20, 1], SHEET[75:, :3] / [20, 20, 1] + [1, 1, 0]])
+    np.savetxt(tmp_path / "c.txt", clusters)
+    options = ["--min-distance", "0.001", "--max-count", "60", "--quiet", "--no-plots", "--out", tmp_path]
+    status, text, errors = run(
+        "surface", tmp_path / "c.txt", *options, "--criteria", "ER2", "--criterion", "CMPRESS"
+    )
+    assert status == 0, errors
+    assert " -" in text
+    assert "ER2 has no score from " in errors
+    assert "does not determine the surface for datum" in errors
+
+
+def test_without_matplotlib_the_numbers_are_written(sheet, run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    status, _, errors = run("surface", sheet, *FAST, "--out", tmp_path)
+    assert status == 0
+    assert "pip install 'mexpress[plot]'" in errors
+    assert (tmp_path / "surface.npz").exists()
+
+
+def test_without_a_ply_reader_the_extra_is_named(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plyfile", None)
+    (tmp_path / "c.ply").write_text("ply\n")
+    status, _, errors = run("surface", tmp_path / "c.ply", "--out", tmp_path / "out")
+    assert status == 2
+    assert "pip install 'mexpress[ply]'" in errors
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--data", "10", "--all"], "not allowed with argument"),
+        (["--data", "3"], "Invalid max_data"),
+        (["--scale", "0"], "Invalid scale"),
+        (["--scale", "x"], "--scale"),
+        (["--intrinsics", "1,2,3"], "must be FX,FY,CX,CY"),
+        (["--intrinsics", "0,0,1,1"], "Invalid intrinsics"),
+        (["--max-count", "2"], "Invalid max_count"),
+        (["--min-distance", "-1"], "Invalid min_distance"),
+        (["--smoothing", "-1"], "Invalid smoothing"),
+        (["--criterion", "WISDOM"], "Invalid criterion"),
+        (["--counts", "3:9"], "unrecognized arguments"),
+        (["--seed", "-1"], "Invalid seed"),
+    ],
+)
+def test_bad_options_are_one_line(depth_map, run, tmp_path, options, says):
+    status, text, errors = run("surface", depth_map, *options, "--quiet", "--out", tmp_path / "out")
+    assert (status, text) == (2, "")
+    assert says in errors
+    assert errors.startswith("mexpress: error: ")
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["no.png", "empty.png", "empty.npy", "empty.npz", "empty.ply", "empty.csv"])
+def test_bad_input_is_one_line(run, tmp_path, name):
+    if name != "no.png":
+        (tmp_path / name).write_bytes(b"")
+    status, text, errors = run("surface", tmp_path / name, "--out", tmp_path / "out")
+    assert (status, text) == (2, "")
+    assert name in errors
+    assert errors.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_faults_of_ours_keep_their_traceback(sheet, run, tmp_path, monkeypatch):
+    def fault(*_, **__):
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr("mexpress.cli.surface.select_surface", fault)
+    with pytest.raises(ValueError, match="broadcast"):
+        run("surface", sheet, "--out", tmp_path)
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 4])
+def test_apply_is_the_surface(run, tmp_path, width):
+    surface = mx.fit_surface(SHEET[:, :2], SHEET[:, 1 : 1 + width], SHEET[:8, :2])
+    surface.save(tmp_path / "s.npz")
+    np.savetxt(tmp_path / "p.csv", SHEET[:9, :2], delimiter=",", fmt="%.17g")
+    status, text, errors = run("apply", tmp_path / "s.npz", tmp_path / "p.csv")
+    assert (status, errors) == (0, "")
+    header, *rows = text.splitlines()
+    assert header == {1: "z", 2: "x,y", 3: "x,y,z", 4: "value1,value2,value3,value4"}[width]
+    values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    np.testing.assert_array_equal(values, surface(SHEET[:9, :2]))
+    status, text, _ = run("apply", tmp_path / "s.npz", tmp_path / "p.csv", "--out", tmp_path / "v.csv")
+    assert (status, text) == (0, "")
+    if width == 2:
+        np.testing.assert_array_equal(read_points(tmp_path / "v.csv"), values)
+
+
+def test_apply_of_a_depth(run, tmp_path, model):
+    (tmp_path / "p.csv").write_text("0.5 0.5\n-3 0.1\n")
+    status, text, errors = run("apply", model, tmp_path / "p.csv")
+    assert status == 0
+    depths = mx.load(model)([[0.5, 0.5], [-3, 0.1]])
+    assert text == f"z\n{depths[0]}\n{depths[1]}\n"
+    assert "1 of 2 points are outside the region of the data: the surface extrapolates there" in errors
+
+
+def test_a_surface_has_no_inverse(run, tmp_path, model):
+    (tmp_path / "p.csv").write_text("0.5 0.5\n")
+    status, text, errors = run("apply", model, tmp_path / "p.csv", "--inverse")
+    assert (status, text) == (2, "")
+    assert "--inverse belongs to a warp" in errors
+    assert errors.count("\n") == 1

@@ -1,0 +1,184 @@
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import mexpress as mx
+from mexpress import plotting
+from mexpress.plotting import solids
+
+RNG = np.random.default_rng(3)
+POINTS = RNG.uniform(0, 1, (300, 2)) * [160, 120]
+DEPTH = 2 + 0.3 * np.sin(POINTS[:, 0] / 25) + RNG.normal(0, 0.02, 300)
+SHEET = np.column_stack([POINTS, 30 * np.cos(POINTS[:, 0] / 60)])
+IMAGE = {"image_size": (160, 120), "unit": "m"}
+
+
+@pytest.fixture(scope="module")
+def selection():
+    return mx.select_surface(POINTS, DEPTH, criterion="ER5", max_count=30)
+
+
+@pytest.fixture(scope="module")
+def surface(selection):
+    return selection.surface
+
+
+def is_drawn(path):
+    image = imread(path)
+    return image.shape[0] > 200 and image[..., :3].std() > 0.02
+
+
+def colour_bar_labels(figure):
+    return [axes.get_ylabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
+
+
+@pytest.mark.parametrize("more", [{}, IMAGE])
+def test_a_depth_is_drawn_beside_the_data_in_the_same_colours(surface, tmp_path, more):
+    figure = plotting.plot_surface(surface, POINTS, DEPTH, tmp_path / "surface.png", **more)
+    assert is_drawn(tmp_path / "surface.png")
+    data, fitted = (axes.collections[0] for axes in figure.axes[:2])
+    assert data.get_clim() == fitted.get_clim()
+    assert colour_bar_labels(figure) == ["depth (m)" if more else "value (unit of the data)"]
+    assert figure.axes[0].yaxis_inverted() == bool(more)
+
+
+def test_points_in_space_are_drawn_from_two_sides(tmp_path):
+    sheet = mx.fit_surface(POINTS, SHEET, POINTS[:12])
+    for more in ({}, IMAGE):
+        figure = plotting.plot_surface(sheet, POINTS, SHEET, tmp_path / "surface.png", **more)
+        assert is_drawn(tmp_path / "surface.png")
+        first, second = figure.axes
+        assert (first.elev, first.azim) != (second.elev, second.azim)
+        assert (first.get_zlabel() == "y (m)") == bool(more)  # a camera's y points down
+
+
+def test_data_behind_the_surface_are_hidden(tmp_path):
+    flat = mx.fit_surface(POINTS, 0 * DEPTH, POINTS[:4])
+    dark = []
+    for depths in (0 * DEPTH + 1, 0 * DEPTH - 1):
+        figure = Figure()
+        axes = figure.add_subplot(projection="3d")
+        solids.draw_solid(axes, solids.Solid.of_depths(flat, POINTS, depths, None, None), (90.0, -90.0))
+        axes.set_axis_off()
+        figure.savefig(tmp_path / "above.png")
+        dark.append((imread(tmp_path / "above.png")[..., :3].max(axis=2) < 0.2).sum())
+    assert dark[0] > 300
+    assert dark[1] == 0
+
+
+def test_squares_face_the_eye():
+    scale, view = np.array([2.0, -3.0, 5.0]), (20.0, -60.0)
+    square = solids._squares(np.zeros((1, 3)), scale, view)[0] / scale
+    towards, _, _ = solids._eye(view)
+    np.testing.assert_allclose(square @ towards, solids._LIFT)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(square, axis=0), axis=1), 2 * solids._DOT)
+
+
+@pytest.mark.parametrize("more", [{}, IMAGE])
+def test_flat_surfaces(tmp_path, more):
+    for values in (0 * DEPTH, 0 * DEPTH + 7, np.column_stack([POINTS, 0 * DEPTH])):
+        surface = mx.fit_surface(POINTS, values, POINTS[:4])
+        plotting.plot_surface(surface, POINTS, values, tmp_path / "surface.png", **more)
+        assert is_drawn(tmp_path / "surface.png")
+
+
+def test_what_has_no_place_in_space_is_refused():
+    plane = mx.fit_surface(POINTS, POINTS, POINTS[:5])
+    with pytest.raises(ValueError, match=r"^Invalid surface\. .* Given 2 values\."):
+        plotting.plot_surface(plane, POINTS, POINTS)
+
+
+def test_residuals_have_a_sign_and_limits_around_zero(surface, tmp_path):
+    spoiled = DEPTH + np.where(np.arange(300) == 7, 1000, 0)
+    figure = plotting.plot_residuals(surface, POINTS, spoiled, tmp_path / "residuals.png", **IMAGE)
+    assert is_drawn(tmp_path / "residuals.png")
+    drawn = figure.axes[0].collections[0]
+    np.testing.assert_allclose(drawn.get_array(), spoiled - surface(POINTS))
+    low, high = drawn.get_clim()
+    assert low == -high
+    assert high < 1  # one wrong datum does not decide
+    assert colour_bar_labels(figure) == ["data minus surface (m)"]
+
+
+def test_many_data_are_an_image_of_their_means():
+    points = RNG.uniform(0, 1, (5000, 2)) * [40, 30]
+    points = points[~((points > [10, 8]) & (points < [25, 22])).all(axis=1)]  # a hole
+    depth = 3 * points[:, 0] + points[:, 1]
+    surface = mx.fit_surface(points, np.zeros(len(points)), points[:5])
+    image = plotting.plot_residuals(surface, points, depth).axes[0].images[0]
+    left, right, bottom, top = image.get_extent()
+    shown = image.get_array().filled(np.nan)
+    y, x = (np.indices(shown.shape) + 0.5) * np.reshape([top - bottom, right - left], (2, 1, 1))
+    x, y = x / shown.shape[1] + left, y / shown.shape[0] + bottom
+    hole = (x > 12) & (x < 23) & (y > 10) & (y < 20)
+    assert np.isnan(shown[hole]).all()
+    away = (x < 9) | (x > 26) | (y < 7) | (y > 23)
+    error = shown[away] - (3 * x + y)[away]
+    assert np.isfinite(error).all()
+    assert np.abs(error).max() < 6  # two cells
+
+
+@pytest.mark.parametrize("width", [2, 3, 4])
+def test_residuals_of_several_values_are_distances(width, tmp_path):
+    values = RNG.normal(size=(300, width))
+    surface = mx.fit_surface(POINTS, values, POINTS[:9])
+    figure = plotting.plot_residuals(surface, POINTS, values, tmp_path / "residuals.png")
+    assert is_drawn(tmp_path / "residuals.png")
+    expected = np.linalg.norm(values - surface(POINTS), axis=1)
+    drawn = figure.axes[0].collections[0]
+    np.testing.assert_allclose(drawn.get_array(), expected)
+    assert drawn.get_clim()[0] == 0
+    assert figure.axes[0].get_xlabel() == "u"
+
+
+def test_data_without_residuals(tmp_path):
+    surface = mx.fit_surface(POINTS, 2 * POINTS[:, 0], POINTS[:5])
+    plotting.plot_residuals(surface, POINTS, surface(POINTS), tmp_path / "residuals.png")
+    assert is_drawn(tmp_path / "residuals.png")
+
+
+@pytest.mark.parametrize("more", [{}, IMAGE])
+def test_control_points_are_coloured_and_numbered_in_their_order(selection, tmp_path, more):
+    figure = plotting.plot_control_points(selection, tmp_path / "points.png", **more)
+    assert is_drawn(tmp_path / "points.png")
+    axes = figure.axes[0]
+    number = len(selection.control_points)
+    marks = {line.get_label(): np.column_stack(line.get_data()) for line in axes.lines}
+    first = np.vstack([marks[label] for label in marks if label.startswith(f"1 to {number - 10}")])
+    last = np.vstack([marks[label] for label in marks if label.startswith("the last 10")])
+    assert {*map(tuple, first)} == {*map(tuple, selection.control_points[:-10])}
+    assert {*map(tuple, last)} == {*map(tuple, selection.control_points[-10:])}
+    for text in axes.texts:
+        assert text.xy == tuple(selection.control_points[int(text.get_text()) - 1])
+    written = {int(text.get_text()) for text in axes.texts}
+    assert {1, 2, 3, selection.count, number} <= written
+    assert figure.axes[0].yaxis_inverted() == bool(more)
+
+
+@pytest.mark.parametrize("values", [DEPTH, SHEET])
+def test_few_control_points(values, tmp_path):
+    selection = mx.select_surface(POINTS, values, criterion="CMPRESS", max_count=3)
+    figure = plotting.plot_control_points(selection, tmp_path / "points.png")
+    assert is_drawn(tmp_path / "points.png")
+    assert len(figure.axes[0].texts) == 3
+
+
+def test_data_of_another_shape_are_refused(surface):
+    with pytest.raises(ValueError, match=r"^Invalid values\."):
+        plotting.plot_surface(surface, POINTS, DEPTH[:-1])
+    with pytest.raises(ValueError, match=r"^Invalid values\. They must have shape \(300, 1\)"):
+        plotting.plot_residuals(surface, POINTS, SHEET)
+
+
+def test_the_missing_extra_is_named(selection, surface, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    for plot in (
+        lambda: plotting.plot_surface(surface, POINTS, DEPTH),
+        lambda: plotting.plot_residuals(surface, POINTS, DEPTH),
+        lambda: plotting.plot_control_points(selection),
+    ):
+        with pytest.raises(ImportError, match=r"pip install 'mexpress\[plot\]'"):
+            plot()
