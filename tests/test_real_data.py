@@ -1,4 +1,4 @@
-"""Real matches and a real homography; the folder is not part of the project, so these tests may skip."""
+"""Real matches, a real homography and real surfaces; the folder is not part of the project, so these tests may skip."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 import mexpress as mx
+from mexpress.clouds import read_cloud
+from mexpress.designs import surface_design
 
-FLAT = Path(__file__).parents[2] / "shared" / "data" / "flat"
+DATA = Path(__file__).parents[2] / "shared" / "data"
+FLAT = DATA / "flat"
 
 pytestmark = pytest.mark.skipif(
-    not FLAT.is_dir(), reason=f"there is no folder {FLAT.parts[-3:]} beside the checkout"
+    not DATA.is_dir(), reason=f"there is no folder {DATA.parts[-2:]} beside the checkout"
 )
 
 GRAF = (800, 640)
@@ -80,3 +83,32 @@ def test_hand_marked_points_transfer_as_well_as_by_a_homography(name, method):
     )
     assert rms[0] < 1.5 * rms[1]
     assert not selection.warp.folds(validation[:, :2]).any()
+
+
+@pytest.mark.parametrize(
+    ("file", "scale", "n_valid"),
+    [
+        ("depth/TUM_depth.png", 5000, 248250),
+        ("depth/depth_00000.png", None, 267129),
+        ("sheets/bent_paper_239.npz", None, 239),
+    ],
+)
+def test_surfaces_of_real_data(file, scale, n_valid):
+    cloud = read_cloud(DATA / file, scale, max_data=2000)
+    assert (len(cloud.points), cloud.n_valid) == (min(n_valid, 2000), n_valid)
+    criteria = ["FIT", "PRESS", "CMPRESS", "ER05", "AIC", "BIC", "GCV"]
+    selection = mx.select_surface(cloud.points, cloud.values, "ER05", criteria, max_count=40)
+    print(f"{file}: {selection.selected}")
+    assert selection.counts.tolist() == list(range(3, 41))
+    assert not selection.undefined
+    assert all(np.isfinite(curve).all() for curve in selection.curves.values())
+    fit, press = selection.curves["FIT"], selection.curves["PRESS"]
+    assert (np.diff(fit) <= 1e-9 * fit[0]).all()
+    assert (press > fit).all()
+    np.testing.assert_allclose(selection.curves["CMPRESS"], press, rtol=1e-9)  # one row to a datum
+    design = surface_design(cloud.points, cloud.values, selection.control_points)
+    radius = 0.05 * np.hypot(*np.ptp(cloud.points, axis=0))
+    scheme = mx.schemes.exclusion_radius(cloud.points, radius)
+    for count in (3, 20, 40):
+        plain = mx.LeastSquares(design.A[:, :count], design.b).cross_validate(scheme)
+        np.testing.assert_allclose(selection.curves["ER05"][count - 3], plain.score, rtol=1e-8)

@@ -177,9 +177,23 @@ fn dots<S: Simd, const LOW: bool, const N: usize>(simd: S, a: Pair<'_>, b: [Pair
         let (mut hi, mut lo) = ([0.0; 8], [0.0; 8]);
         simd.partial_store_f64s(&mut hi[..lanes], sums[k].0);
         simd.partial_store_f64s(&mut lo[..lanes], sums[k].1);
-        totals[k] = hi.into_iter().zip(lo).fold(totals[k], |sum, (hi, lo)| sum.plus(Double { hi, lo }));
+        totals[k] = total(hi, lo);
     }
     totals
+}
+
+/// Sum of eight numbers, in a tree: a chain would take longer than the products.
+#[inline(always)]
+fn total(mut hi: [f64; 8], lo: [f64; 8]) -> Double {
+    let mut low: f64 = lo.iter().sum();
+    for half in [4, 2, 1] {
+        for k in 0..half {
+            let (sum, error) = two_sum(hi[k], hi[k + half]);
+            hi[k] = sum;
+            low += error;
+        }
+    }
+    Double::renormalised(hi[0], low)
 }
 
 /// `Q^T Q` in twice the digits; Q is row-major.

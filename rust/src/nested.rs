@@ -38,13 +38,13 @@ use crate::refit::Refit;
 use crate::scheme::Sets;
 
 /// Below this lambda_min(M) a pair needs twice the digits.
-const SAFE: f64 = 1e-6;
+const SAFE: f64 = 2e-7;
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
 const DOUBLED: f64 = 1e-12;
 
-/// Pairs close to rank loss that share matrices.
-const RUN: usize = 16;
+/// Pairs close to rank loss that share matrices, at most.
+const RUN: usize = 64;
 
 /// Below this lambda_min(M), training rows of an ill-conditioned design may have lost rank.
 const DOUBTFUL: f64 = 1e-5;
@@ -461,7 +461,8 @@ impl Sweep<'_> {
             refit: Refit::default(),
             sums: Sums::default(),
         };
-        pool.run(steps.chunks(RUN).zip(results.chunks_mut(RUN)), workspace, |rescue, (steps, results)| {
+        let run = (steps.len() / 16).clamp(1, RUN);
+        pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
             rescue.last.forget(self.rows.len());
             rescue.last.gram.start(squares, factor.rank, factor.responses);
             for (&(s, step), result) in steps.iter().zip(results) {
