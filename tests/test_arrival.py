@@ -260,3 +260,15 @@ def test_every_layout_of_the_same_numbers_gives_the_same():
     for same in (points.tolist(), points.astype(np.float32), np.asfortranarray(points), points.astype(int)):
         np.testing.assert_array_equal(by_residual(same, values, np.int64(20)), expected)
     np.testing.assert_array_equal(by_residual(points, np.asfortranarray(values), 20), expected)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_strip_that_is_barely_no_line(seed):
+    points = np.random.default_rng(5).uniform(size=(400, 2)) * [1.0, 3e-6]
+    first = points[by_residual(points, points[:, 0] ** 2, 3, seed=seed)]
+    assert thinness(first) > 1e-6
+
+
+def test_three_points_that_nearly_coincide():
+    with pytest.raises(ValueError, match="Invalid points"):
+        by_residual([[0, 0], [1, 0], [0, 5e-6]], [0.0, 1.0, 2.0], 3)

@@ -861,3 +861,37 @@ def test_what_is_not_finite_is_refused_and_located(name, bad):
 )
 def test_bad_problems(name, wrong):
     refused(name, **{name: wrong})
+
+
+def test_barely_full_rank_keeps_the_order_of_columns():
+    """Where only singular values tell that no column is lost, leading models are still those of leading columns."""
+    rng = np.random.default_rng(3)
+    for size in range(12, 30):
+        x = np.sort(rng.uniform(-1, 1, 40))
+        A, b = np.vander(x, size, increasing=True) * 3.0 ** np.arange(size), rng.normal(size=40)
+        curve = mx.cross_validate_nested(A, b, range(1, 9), {"": s.leave_one_out(40)})[""]
+        whole = mx.cross_validate_nested(A, b, range(1, size + 1), {"": s.leave_one_out(40)})[""]
+        np.testing.assert_allclose(whole[:8], curve, rtol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1.2, 1.5, 2, 3, 6])
+def test_singular_values_near_the_tolerance(factor):
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(200, 8)), rng.normal(size=200)
+    A[:, 7] = A[:, 1] + factor * 200 * np.finfo(float).eps * np.linalg.norm(A[:, 1]) / 14 * rng.normal(
+        size=200
+    )
+    scheme = s.leave_one_out(200)
+    curve = mx.cross_validate_nested(A, b, range(1, 9), {"": scheme})[""]
+    for size in range(1, 8):
+        plain = mx.LeastSquares(A[:, :size], b).cross_validate(scheme).score
+        assert curve[size - 1] == pytest.approx(plain, rel=1e-9)
+
+
+def test_columns_beyond_the_largest_size_do_not_matter():
+    rng = np.random.default_rng(1)
+    A, b = rng.normal(size=(30, 60)), rng.normal(size=30)
+    scheme = {"": s.k_fold(30, 5, seed=0)}
+    few = mx.cross_validate_nested(A[:, :6], b, [2, 6], scheme, penalty=np.eye(6))
+    many = mx.cross_validate_nested(A, b, [2, 6], scheme, penalty=np.eye(60)[:6])
+    np.testing.assert_array_equal(few[""], many[""])

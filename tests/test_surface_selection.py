@@ -140,13 +140,16 @@ def test_curves_are_those_of_refits_by_lstsq(shape):
         x = np.linalg.lstsq(problem.A, values, rcond=None)[0]
         square = ((values - problem.A @ x) ** 2).sum() / 60
         alone = problem.score(s.leave_one_out(60))
+        # Every value is a measurement, and takes parameters of its own.
+        m, parameters = values.size, count * values.size // 60
+        loss = m * np.log(square * 60 / m)
         expected = {
             "FIT": np.sqrt(square),
             "PRESS": alone,
             "CMPRESS": alone,
             "ER15": problem.score(near),
-            "AIC": 60 * np.log(square) + 2 * count,
-            "BIC": 60 * np.log(square) + np.log(60) * count,
+            "AIC": loss + 2 * parameters,
+            "BIC": loss + np.log(m) * parameters,
             "GCV": np.sqrt(square) / (1 - count / 60),
         }
         for name, value in expected.items():

@@ -106,7 +106,10 @@ NEIGHBOURHOODS: dict[str, Callable[[float, Data], Neighbourhoods]] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """What information criteria look at: E, trace(H), and how many rows and data there are."""
+    """What information criteria look at: E, and how many parameters, measurements and data there are.
+
+    Several responses that share a design are as many measurements, and take as many parameters.
+    """
 
     rms: float
     parameters: float
@@ -344,7 +347,8 @@ class Judge:
             lost = Score(math.nan, np.arange(model.n_data))
             return dict.fromkeys(self.criteria, lost)
         validated = cross_validate_all(model, self.schemes, threads)
-        fit = Fit(model.fit_rms, float(model.leverage.sum()), len(model.leverage), model.n_data)
+        r = model.residuals.size // len(model.residuals)
+        fit = Fit(model.fit_rms, r * float(model.leverage.sum()), model.residuals.size, model.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in validated:
@@ -393,8 +397,13 @@ class Judge:
         >>> [round(score.value, 3) + 0.0 for score in curves["CMPRESS"]]
         [2.449, 0.0]
         """
+        every: dict[str, Scheme | Neighbourhoods] = {**self.schemes, **self.neighbourhoods}
+        for scheme in every.values():
+            if scheme.n_data != nested.n_data:
+                rule = f"It must be over the criteria's {scheme.n_data} data."
+                check.refuse("nested", rule, f"{nested.n_data} data")
         fits = nested.fits(sizes, threads)
-        found = nested.curves({**self.schemes, **self.neighbourhoods}, sizes, threads, step)
+        found = nested.curves(every, sizes, threads, step)
         alone = each_alone(nested.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
@@ -405,7 +414,8 @@ class Judge:
             elif criterion is not None and criterion.family in FORMULAS:
                 formula = FORMULAS[criterion.family]
                 each = zip(fits.rms, fits.parameters, strict=True)
-                models = (Fit(float(e), float(k), nested.n_rows, nested.n_data) for e, k in each)
+                r = nested.n_responses
+                models = (Fit(float(e), r * float(k), r * nested.n_rows, nested.n_data) for e, k in each)
                 scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
             else:
                 scores[name] = _scored(nested.press(sizes, threads), each_alone(nested.n_rows))

@@ -79,6 +79,7 @@ class Nested:
         self._coupling = problem.coupling
         self._row_weights = problem.row_weights
         self.n_rows, self.n_columns = design.shape
+        self.n_responses = responses.shape[1]
         self.n_data = len(problem.coupling)
 
     def coefficients(self, size: int) -> Floats:
@@ -230,8 +231,10 @@ def cross_validate_nested(
     7
     """
     checked = _checked_schemes(schemes)
-    nested = Nested(A, b, coupling, weights, penalty, threads=threads)
-    kept = _checked_sizes(sizes, nested.n_columns)
+    design = check.matrix(A, "A")
+    kept = _checked_sizes(sizes, design.shape[1])
+    rows = None if penalty is None else _checked_penalty(penalty, design.shape[1])[:, : kept[-1]]
+    nested = Nested(design[:, : kept[-1]], b, coupling, weights, rows, threads=threads)
     for name, scheme in checked.items():
         if scheme.n_data != nested.n_data:
             rule = f"They must be over the design's {nested.n_data} data."
@@ -247,6 +250,14 @@ def _checked_schemes(schemes: Any) -> dict[str, Scheme]:
         if not (isinstance(name, str) and isinstance(scheme, Scheme)):
             check.refuse("schemes", rule, check.describe({name: scheme}), TypeError)
     return dict(schemes)
+
+
+def _checked_penalty(penalty: Any, columns: int) -> Floats:
+    rows = check.real(penalty, "penalty")
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        rule = f"It must have shape (k, {columns}), as A has {columns} columns."
+        check.refuse("penalty", rule, f"shape {rows.shape}")
+    return check.finite(rows, "penalty")
 
 
 def _checked_sizes(sizes: Any, columns: int) -> Integers:

@@ -271,15 +271,19 @@ def _spread_triangle(points: Floats, distance: float, random: np.random.Generato
     centred = points - points.mean(axis=0)
     plane = np.linalg.qr(centred / np.abs(centred).max()).Q
     basis = np.column_stack([np.full(len(points), len(points) ** -0.5), plane])
-    widest, best = -1.0, (0, 1, 2)
+    widest = COINCIDENT * float(np.hypot(*np.ptp(points, axis=0)))
+    best = None
     for _ in range(_DRAWS):
         triangle = _triangle(basis, random)
         corners = points[list(triangle)]
         width = float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).min())
-        if width > widest:
+        if width > widest and thinness(corners) > NEAR_LINE:
             widest, best = width, triangle
-        if width > distance:
-            break
+            if width > distance:
+                break
+    if best is None:
+        rule = f"Three of them must not lie on a line, to within {NEAR_LINE:g} of their extent, nor coincide."
+        check.refuse("points", rule, f"{len(points)} nearly on a line")
     return best
 
 

@@ -156,8 +156,8 @@ impl Bordered {
         Arch::new().dispatch(Factor { storage, shape: *shape, inverse_pivots })
     }
 
-    /// Forward solves `L^-1 x` of rows that come after the factorisation: eight at a time, `order` columns of eight lanes.
-    pub fn carry<'a>(&mut self, rows: impl ExactSizeIterator<Item = &'a [f64]>) -> &[[f64; PANEL]] {
+    /// Solves forward, `L^-1 x`, for rows that come after the factorisation.
+    pub fn carry<'a>(&mut self, rows: impl ExactSizeIterator<Item = &'a [f64]>) {
         let Shape { order, .. } = self.shape;
         let panels = rows.len().div_ceil(PANEL);
         self.carried.clear();
@@ -169,6 +169,10 @@ impl Bordered {
         let Self { storage, skip, shape, inverse_pivots, carried, .. } = self;
         let factor = &storage[*skip..];
         Arch::new().dispatch(Carry { factor, shape: *shape, inverse_pivots, carried });
+    }
+
+    /// What `carry` found: eight rows at a time, `order` columns of eight lanes.
+    pub fn carried(&self) -> &[[f64; PANEL]] {
         self.carried.as_chunks().0
     }
 

@@ -21,7 +21,7 @@ pub enum Error {
         /// Indices must be below this.
         bound: usize,
     },
-    /// Numbers that must increase do not.
+    /// Numbers that must not decrease do.
     Decreasing {
         /// The first that is less than the one before it.
         index: usize,

@@ -459,8 +459,14 @@ impl Top {
             (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
         } else {
             let Revealed { left, triangle, inverse, values } =
-                Revealed::new(r, size, columns, &scales, tolerance, pool)?;
-            (values.len(), Some(left), triangle, values.last().copied().unwrap_or(0.0), inverse)
+                Revealed::new(r.clone(), size, columns, &scales, tolerance, pool)?;
+            let least = values.last().copied().unwrap_or(0.0);
+            // Of full rank after all: the basis stays that of leading columns, and the triangle one.
+            if values.len() == columns {
+                (columns, None, r, least, Inverse::Triangle(stack_triangle(&stack, height, columns)))
+            } else {
+                (values.len(), Some(left), triangle, least, inverse)
+            }
         };
         let mut basis = vec![0.0; height * rank];
         for (j, column) in basis.chunks_exact_mut(height).enumerate() {
@@ -556,9 +562,13 @@ pub(crate) fn leading_rank(
     pool: &Pool<'_>,
 ) -> Result<usize, Error> {
     let column = |j: usize| &triangle[j * order..j * order + j + 1];
-    // A diagonal entry bounds the least singular value, the longest column the largest: most losses show like this.
-    let longest = (0..order).map(|j| dot(column(j), column(j)).sqrt()).fold(0.0, f64::max);
-    let all = (0..order).find(|&j| column(j)[j].abs() <= tolerance * longest).unwrap_or(order);
+    // A diagonal entry bounds the least singular value, the longest column so far the largest: most losses show like this.
+    let mut longest = 0.0_f64;
+    let vanishing = |&j: &usize| {
+        longest = longest.max(dot(column(j), column(j)).sqrt());
+        column(j)[j].abs() <= tolerance * longest
+    };
+    let all = (0..order).find(vanishing).unwrap_or(order);
     let leading = |count: usize| {
         let mut r = vec![0.0; count * count];
         for (j, target) in r.chunks_exact_mut(count).enumerate() {

@@ -3,8 +3,7 @@
 //! # The problem
 //!
 //! Fit `A x ~ b` with m rows and p columns, hold out a set K of rows, predict some of them (T, a subset of K) from the
-//! rest, for thousands of sets. Refitting costs m p^2 a set; here
-//! only the few sets that nearly lose rank are refitted.
+//! rest, for thousands of sets. Refitting costs m p^2 a set; here only the few sets that nearly lose rank are refitted.
 //!
 //! # The mathematics
 //!
@@ -18,8 +17,10 @@
 //!   [`cholesky`]; only the validated unknowns are solved for.
 //! * **Weights** scale rows by their roots; **penalty rows** Z extend A and are never held out, so Q is the top of the
 //!   basis of `[A; Z]` and nothing else changes.
+//! * **Nested models.** If Q is that of an unpivoted factorisation, leading blocks of M's factor belong to leading columns, and the
+//!   predictions of all leading models are cumulative sums, see [`nested`]. Neighbouring sets share M, see [`gram`].
 //! * **Rank loss.** `M = Q_-K^T Q_-K`, so a vanishing pivot means that the training rows no longer determine the model: the pair
-//!   is *undefined*. Near that, digits are lost, and [`refit`] brings them back.
+//!   is *undefined*. Near that, digits are lost, and [`refit`] or [`doubled`] brings them back.
 //!
 //! # The map
 //!

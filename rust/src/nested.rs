@@ -143,17 +143,14 @@ impl Nested {
         let mut factor = Factor::new(problem, pool)?;
         let mut kept: Vec<usize> = (0..problem.columns).collect();
         let mut reduced = None;
-        if factor.rank < problem.columns {
-            kept = factor.independent_columns(pool)?;
-        }
-        if !kept.is_empty() && kept.len() < problem.columns {
-            let parts = (
-                columns(problem.design, problem.columns, &kept),
-                columns(problem.penalty, problem.columns, &kept),
-            );
+        while 0 < factor.rank && factor.rank < kept.len() {
+            kept = factor.independent_columns(pool)?.into_iter().map(|j| kept[j]).collect();
+            let only = |matrix| columns(matrix, problem.columns, &kept);
+            let parts = (only(problem.design), only(problem.penalty));
             factor = Factor::new(&part(problem, &parts, kept.len()), pool)?;
             reduced = Some(parts);
         }
+        kept.truncate(factor.rank);
         let right = factor::weighted_responses(problem, factor.responses);
         Ok(Self { factor, kept, reduced, right, squares: OnceLock::new() })
     }
@@ -218,7 +215,7 @@ impl Nested {
             .collect()
     }
 
-    /// Cross-validates the models with these numbers of columns, increasing, by every scheme. Schemes with equal validated
+    /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes with equal validated
     /// sets and order go through the data together, the smaller first.
     pub fn curves(
         &self,
@@ -412,12 +409,15 @@ struct Sweep<'a> {
 
 impl Sweep<'_> {
     /// How many steps of a chain make a task: enough to share, not so many that threads idle or an interrupt waits. It depends
-    /// on the problem alone, and so do the results.
+    /// on the problem alone, and so do the results. A step changes about as many rows as there are data along the rim of
+    /// its neighbourhood; only the first takes them all.
     fn steps(&self, chain: &[usize]) -> usize {
         let p = self.nested.factor.rank as f64;
         let length = self.schemes[chain[0]].order.len().max(1);
-        let cost: f64 = chain.iter().map(|&s| p * p * (p / 6.0 + self.schemes[s].held.mean() / 4.0)).sum();
-        let most = (TASK / cost.max(1.0)) as usize;
+        let rim = |mean: f64| mean.min(3.0 * mean.sqrt());
+        let coupling = self.nested.factor.rows as f64 / self.rows.len().max(1) as f64;
+        let cost = |&s: &usize| p * p * (p / 6.0 + coupling * rim(self.schemes[s].held.mean()) / 2.0);
+        let most = (TASK / chain.iter().map(cost).sum::<f64>().max(1.0)) as usize;
         (length / 32).clamp(8, STEPS).min(most).max(1)
     }
 
@@ -681,12 +681,12 @@ impl Workspace {
         }
         let Self { system, rows, validated, curve, forward, residual, sums, .. } = self;
         for rows in rows[rows.len() - *validated..].chunks(CARRIED) {
+            system.carry(rows.iter().map(|&i| factor.basis_row(i)));
             for c in 0..responses {
                 system.forward_row(c, residual);
                 forward.clone_from(residual);
                 system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
-                let carried = system.carry(rows.iter().map(|&i| factor.basis_row(i)));
-                for (panel, rows) in carried.chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
+                for (panel, rows) in system.carried().chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
                     let mut last = [0.0; 8];
                     for (u, y) in panel.iter().zip(&*residual) {
                         last.iter_mut().zip(u).for_each(|(last, u)| *last -= u * y);

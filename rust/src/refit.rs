@@ -3,7 +3,8 @@
 //! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is
 //! about eps / lambda_min(M). Two remedies, the cheaper first. *Refinement* takes the residuals of the training rows
 //! themselves, which do not suffer, and corrects with the factor at hand. Where even that is too coarse, a *refit* reduces
-//! the training rows by Householder reflections, which sees rank down to rounding.
+//! the training rows by Householder reflections, which sees rank down to rounding; for nested models (`lead`, `forward`) the
+//! triangle that is left answers for all leading columns.
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
@@ -27,6 +28,7 @@ pub struct Refit {
     gradient: Vec<f64>,
     /// A block of training rows under the triangle of those before, column-major.
     block: Vec<f64>,
+    /// Rows of the block.
     height: usize,
     reflectors: Vec<f64>,
     scratch: Option<QrScratch>,
