@@ -480,16 +480,22 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats |
     return row_weights, exponent
 
 
+def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
+    """Finite penalty rows of p columns, checked."""
+    rows = check.real(penalty, "penalty")
+    if rows.ndim != 2 or rows.shape[1] != p:
+        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {rows.shape}")
+    return check.finite(rows, "penalty")
+
+
 def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
     """Penalty rows beside weights that are divided by a power of four."""
-    extra = check.real(penalty, "penalty")
-    if extra.ndim != 2 or extra.shape[1] != p:
-        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {extra.shape}")
+    rows = penalty_rows(penalty, p)
     with np.errstate(over="ignore"):
-        scaled = np.ldexp(check.finite(extra, "penalty"), -exponent)
+        scaled = np.ldexp(rows, -exponent)
     if not np.isfinite(scaled).all():
         rule = "It must not exceed 1e308 times the root of the largest weight."
-        check.refuse("penalty", rule, f"{np.abs(extra).max():g}")
+        check.refuse("penalty", rule, f"{np.abs(rows).max():g}")
     return scaled
 
 

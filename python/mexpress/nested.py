@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares import Problem
+from mexpress.leastsquares import Problem, penalty_rows
 from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone, leave_one_out
 
 __all__ = ["cross_validate_nested"]
@@ -233,7 +233,7 @@ def cross_validate_nested(
     checked = _checked_schemes(schemes)
     design = check.matrix(A, "A")
     kept = _checked_sizes(sizes, design.shape[1])
-    rows = None if penalty is None else _checked_penalty(penalty, design.shape[1])[:, : kept[-1]]
+    rows = None if penalty is None else penalty_rows(penalty, design.shape[1])[:, : kept[-1]]
     nested = Nested(design[:, : kept[-1]], b, coupling, weights, rows, threads=threads)
     for name, scheme in checked.items():
         if scheme.n_data != nested.n_data:
@@ -250,14 +250,6 @@ def _checked_schemes(schemes: Any) -> dict[str, Scheme]:
         if not (isinstance(name, str) and isinstance(scheme, Scheme)):
             check.refuse("schemes", rule, check.describe({name: scheme}), TypeError)
     return dict(schemes)
-
-
-def _checked_penalty(penalty: Any, columns: int) -> Floats:
-    rows = check.real(penalty, "penalty")
-    if rows.ndim != 2 or rows.shape[1] != columns:
-        rule = f"It must have shape (k, {columns}), as A has {columns} columns."
-        check.refuse("penalty", rule, f"shape {rows.shape}")
-    return check.finite(rows, "penalty")
 
 
 def _checked_sizes(sizes: Any, columns: int) -> Integers:

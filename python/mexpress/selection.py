@@ -100,6 +100,18 @@ class Selection:
             )
         return chosen
 
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the criteria against the number of control points (needs the extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
+
+        return plot_selection(self, path)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarpSelection(Selection):
@@ -134,18 +146,6 @@ class WarpSelection(Selection):
     def warp(self) -> Warp:
         """The warp with the selected number of control points."""
         return self.warps[self.count]
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the criteria against the number of control points (needs the extra ``plot``).
-
-        Parameters
-        ----------
-        path : path, optional
-            Where to save the figure; its ending says the format.
-        """
-        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
-
-        return plot_selection(self, path)
 
 
 def largest_count(n: int) -> int:
@@ -342,18 +342,6 @@ class SurfaceSelection(Selection):
     points: Floats
     values: Floats
     control_points: Floats
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the criteria against the number of control points (needs the extra ``plot``).
-
-        Parameters
-        ----------
-        path : path, optional
-            Where to save the figure; its ending says the format.
-        """
-        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
-
-        return plot_selection(self, path)
 
 
 def select_surface(

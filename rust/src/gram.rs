@@ -63,17 +63,8 @@ impl Gram {
         self.panels.len() / (self.order * PANEL).max(1)
     }
 
-    /// Holds rows out, each given by its entries and its right-hand sides.
-    pub fn remove<'a>(&mut self, rows: &[usize], fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
-        self.change(rows, -1.0, fetch);
-    }
-
-    /// Takes rows that were held out back in.
-    pub fn restore<'a>(&mut self, rows: &[usize], fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
-        self.change(rows, 1.0, fetch);
-    }
-
-    fn change<'a>(&mut self, rows: &[usize], sign: f64, fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
+    /// Holds rows out (sign -1) or takes them back in (1), each given by its entries and its right-hand sides.
+    pub fn change<'a>(&mut self, rows: &[usize], sign: f64, fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
         for batch in rows.chunks(BATCH) {
             self.pack(batch, &fetch);
             let (panels, terms) = (&mut self.panels[..], &self.terms[..]);
@@ -182,8 +173,8 @@ mod tests {
             let mut gram = Gram::default();
             gram.start(order, responses);
             let all: Vec<usize> = (0..150).collect();
-            gram.remove(&all, fetch);
-            gram.restore(&all[..70], fetch);
+            gram.change(&all, -1.0, fetch);
+            gram.change(&all[..70], 1.0, fetch);
             for i in 0..width {
                 for j in 0..order.min(i + 1) {
                     let base = f64::from(i == j);

@@ -215,8 +215,8 @@ impl Nested {
             .collect()
     }
 
-    /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes with equal validated
-    /// sets and order go through the data together, the smaller first.
+    /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes
+    /// with equal validated sets and order go through the data together, the smaller first.
     pub fn curves(
         &self,
         problem: &Problem<'_>,
@@ -661,8 +661,8 @@ impl Workspace {
             last.gram.copy_from(&before[k - 1].gram);
         }
         let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
-        last.gram.remove(&sweep.rows_of(&change.added), fetch);
-        last.gram.restore(&sweep.rows_of(&change.removed), fetch);
+        last.gram.change(&sweep.rows_of(&change.added), -1.0, fetch);
+        last.gram.change(&sweep.rows_of(&change.removed), 1.0, fetch);
         last.remember(members);
     }
 

@@ -106,14 +106,26 @@ fn table<'py>(py: Python<'py>, values: Vec<f64>, rows: usize, columns: usize) ->
     PyArray1::from_vec(py, values).reshape([rows, columns])
 }
 
-/// A fitted least-squares problem. Keeps the caller's arrays, not copies: pairs close to rank loss go back to them.
-#[pyclass(frozen, module = "mexpress._core")]
-struct Factor {
-    fit: crate::factor::Factor,
+/// The caller's arrays of a problem, kept, not copied: pairs close to rank loss go back to them.
+struct Kept {
     design: Py<PyArray2<f64>>,
     responses: Py<PyArray2<f64>>,
     root_weights: Option<Py<PyArray1<f64>>>,
     penalty: Py<PyArray2<f64>>,
+}
+
+impl Kept {
+    fn borrow<'py>(&self, py: Python<'py>) -> PyResult<Held<'py>> {
+        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
+        Held::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))
+    }
+}
+
+/// A fitted least-squares problem.
+#[pyclass(frozen, module = "mexpress._core")]
+struct Factor {
+    fit: crate::factor::Factor,
+    arrays: Kept,
 }
 
 /// The arrays of a problem, borrowed for one call.
@@ -162,18 +174,18 @@ impl Factor {
         penalty: Array2<'py, f64>,
         threads: usize,
     ) -> PyResult<Self> {
-        let held = Held::new(&design, &responses, root_weights.as_ref(), &penalty)?;
-        let problem = held.problem()?;
-        let size = problem.design.len() + problem.penalty.len();
-        let cost = 2.0 * (size * problem.columns) as f64;
-        let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
-        Ok(Self {
-            fit,
+        let arrays = Kept {
             design: design.unbind(),
             responses: responses.unbind(),
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
-        })
+        };
+        let held = arrays.borrow(py)?;
+        let problem = held.problem()?;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
+        Ok(Self { fit, arrays })
     }
 
     #[getter]
@@ -212,9 +224,7 @@ impl Factor {
         // At worst every pair is refitted.
         let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
         let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
-        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
-        let arrays =
-            Held::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))?;
+        let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;
         let lost = found.status.iter().enumerate().filter(|(_, s)| **s == Status::Undefined).map(|(i, _)| i);
@@ -242,14 +252,11 @@ impl Factor {
     }
 }
 
-/// Models of leading columns. Keeps the caller's arrays, not copies, as `Factor` does.
+/// Models of leading columns.
 #[pyclass(frozen, module = "mexpress._core")]
 struct Nested {
     models: nested::Nested,
-    design: Py<PyArray2<f64>>,
-    responses: Py<PyArray2<f64>>,
-    root_weights: Option<Py<PyArray1<f64>>>,
-    penalty: Py<PyArray2<f64>>,
+    arrays: Kept,
 }
 
 type ReadSets<'py> = (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>);
@@ -265,16 +272,16 @@ impl Nested {
         penalty: Array2<'py, f64>,
         threads: usize,
     ) -> PyResult<Self> {
-        let held = Held::new(&design, &responses, root_weights.as_ref(), &penalty)?;
-        let problem = held.problem()?;
-        let models = interruptible(py, f64::INFINITY, threads, |pool| nested::Nested::new(&problem, pool))?;
-        Ok(Self {
-            models,
+        let arrays = Kept {
             design: design.unbind(),
             responses: responses.unbind(),
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
-        })
+        };
+        let held = arrays.borrow(py)?;
+        let problem = held.problem()?;
+        let models = interruptible(py, f64::INFINITY, threads, |pool| nested::Nested::new(&problem, pool))?;
+        Ok(Self { models, arrays })
     }
 
     /// The coefficients of the model of the first columns.
@@ -317,9 +324,7 @@ impl Nested {
         let schemes: Vec<nested::Scheme<'_>> =
             lists.iter().map(|(listing, order)| listing.scheme(order)).collect();
         let (rows, sizes) = (sets(&rows.0, &rows.1)?, numbers(&sizes)?);
-        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
-        let arrays =
-            Held::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))?;
+        let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found = interruptible(py, f64::INFINITY, threads, |pool| {
             self.models.curves(&problem, &schemes, &rows, &sizes, pool)
