@@ -84,7 +84,7 @@ fn pairs(c: &mut Criterion) {
         let problem = problem(&design, &responses);
         let factor = fit(&problem, 1);
         let (held, validated, rows) = (windows(n, held), singles(n), singles(n));
-        let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
         group.throughput(Throughput::Elements(n as u64));
         for threads in [1, 2] {
             group.bench_function(BenchmarkId::new(name, threads), |bencher| {

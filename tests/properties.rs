@@ -50,7 +50,7 @@ impl Case {
 
     fn predict(&self, fit: &Factor, held: &Sets, validated: &Sets, threads: usize) -> Predictions {
         let rows = singles(fit.rows);
-        let pairs = Pairs { held, validated, rows: &rows };
+        let pairs = Pairs { held, validated, rows: &rows, order: &[] };
         self.with_problem(|problem| fit.predict(problem, &pairs, &pool(threads)).unwrap())
     }
 
@@ -270,7 +270,9 @@ fn bad_shapes_are_errors() {
     let fit = Factor::new(&problem, &pool(1)).unwrap();
     let sets: Sets = [vec![3]].into_iter().collect();
     let rows = singles(3);
-    let found = fit.predict(&problem, &Pairs { held: &sets, validated: &sets, rows: &rows }, &pool(1)).err();
+    let found = fit
+        .predict(&problem, &Pairs { held: &sets, validated: &sets, rows: &rows, order: &[] }, &pool(1))
+        .err();
     assert_eq!(found, Some(Error::Index { index: 3, bound: 3 }));
     problem.design = &[1.0; 5];
     assert_eq!(Factor::new(&problem, &pool(1)).err(), Some(Error::Length { expected: 6, given: 5 }));

@@ -365,15 +365,21 @@ class LeastSquares:
         return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
 
     def _predict(
-        self, held: IndexSets, validated: IndexSets, coupling: IndexSets, threads: int | None
+        self,
+        held: IndexSets,
+        validated: IndexSets,
+        coupling: IndexSets,
+        threads: int | None,
+        order: Integers | None = None,
     ) -> CrossValidation:
-        """Residuals of all pairs, not yet scored."""
+        """Residuals of all pairs, not yet scored; sooner if an order of the data is known that keeps neighbours together."""
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(
                 (held.offsets, held.indices),
                 (validated.offsets, validated.indices),
                 (coupling.offsets, coupling.indices),
+                np.zeros(0, dtype=np.int64) if order is None else order,
                 workers,
             )
         except RuntimeError as error:
@@ -416,7 +422,9 @@ def cross_validate_all(
             check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
     held = concatenate(scheme.held_out for scheme in schemes.values())
     validated = concatenate(scheme.validated for scheme in schemes.values())
-    together = model._predict(held, validated, model._coupling, threads)
+    along = next((s for s in schemes.values() if s.order is not None), None)
+    order = None if along is None else np.concatenate([along.validated[pair] for pair in along.visiting_order])
+    together = model._predict(held, validated, model._coupling, threads, order)
     ends = np.cumsum([len(scheme) for scheme in schemes.values()])
     starts = ends - [len(scheme) for scheme in schemes.values()]
     return {

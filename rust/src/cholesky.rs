@@ -102,6 +102,23 @@ impl Bordered {
         &mut self.storage[self.skip + row / PANEL * self.shape.stride() + at]
     }
 
+    /// Subtracts `rows(i)[columns[j]]` from every entry (i, j) of the lower triangle of C.
+    pub fn subtract<'a>(&mut self, rows: impl Fn(usize) -> &'a [f64], columns: &[usize]) {
+        let Shape { order, terms, .. } = self.shape;
+        for first in (0..order).step_by(PANEL) {
+            let width = PANEL.min(order - first);
+            // Lanes beyond the last row repeat it, and are left alone.
+            let lines: [&[f64]; PANEL] = std::array::from_fn(|lane| rows(first + lane.min(width - 1)));
+            let at = self.skip + first / PANEL * self.shape.stride() + terms * PANEL;
+            let (panel, _) = self.storage[at..].as_chunks_mut::<PANEL>();
+            for (entries, &column) in panel.iter_mut().zip(&columns[..first + width]) {
+                for (entry, line) in entries[..width].iter_mut().zip(lines) {
+                    *entry -= line[column];
+                }
+            }
+        }
+    }
+
     /// Sets every term: the rows' entries are those of `head(t)`, then those of `border(t)`, then zeros.
     pub fn set_terms<'a>(&mut self, head: impl Fn(usize) -> &'a [f64], border: impl Fn(usize) -> &'a [f64]) {
         let Shape { order, terms, panels } = self.shape;
@@ -182,9 +199,14 @@ impl Bordered {
         out.extend(self.forward(row));
     }
 
-    /// Inner product of the forward solves of two border rows.
-    pub fn forward_dot(&self, row: usize, other: usize) -> f64 {
-        self.forward(row).zip(self.forward(other)).map(|(x, y)| x * y).sum()
+    /// Products of the entries of the forward solves of two border rows: those of a leading system come first.
+    pub fn forward_products(&self, row: usize, other: usize) -> impl Iterator<Item = f64> {
+        self.forward(row).zip(self.forward(other)).map(|(x, y)| x * y)
+    }
+
+    /// Pivots, in order.
+    pub fn pivots(&self) -> impl Iterator<Item = f64> {
+        self.inverse_pivots[..self.shape.order].iter().map(|x| (x * x).recip())
     }
 
     fn forward(&self, row: usize) -> impl Iterator<Item = f64> {

@@ -4,30 +4,30 @@
 //! `I - Q_K Q_K^T` (q x q). The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K` (p x p). Both are one
 //! call of [`Bordered`]. One to three rows are unrolled. A pivot near zero says that the training rows barely
 //! determine the model: such a pair is refitted from its training rows, which decides its rank, see [`crate::refit`].
+//!
+//! Balls around one datum nest, and one dual factorisation serves them all: with the datum's rows first and then ring after
+//! ring, a ball is a leading part of the largest, and so are its factor L and its forward solves `y = L^-1 e_K` and
+//! `z = L^-1 1_T`, of which `e_(T) = z^T y`. All criteria of a sweep then cost what the widest of them does.
 
 use std::ops::Range;
+use std::slice;
 use std::sync::OnceLock;
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
 use crate::factor::{Factor, Problem, expect_length};
-use crate::linalg::{self, dot};
+use crate::linalg::dot;
+use crate::plan::{CARRIED, Hat, Plan, Slot, costs};
 use crate::pool::Pool;
-use crate::refit::Refit;
+use crate::refit::{Inverse, Refit};
 use crate::scheme::Sets;
 
 /// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
 /// error is about eps / lambda_min(M).
-const SAFE: f64 = 1e-5;
-
-/// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
-const CARRIED: usize = 4;
+const SAFE: f64 = 2e-6;
 
 /// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
 pub(crate) const PROBES: usize = 2;
-
-/// Hat matrices are kept whole up to this many rows (72 MB).
-const HAT_ROWS: usize = 3000;
 
 /// Which data each pair holds out and validates, and the rows of every datum.
 pub struct Pairs<'a> {
@@ -37,6 +37,8 @@ pub struct Pairs<'a> {
     pub validated: &'a Sets,
     /// Rows of each datum.
     pub rows: &'a Sets,
+    /// Data in an order in which successive ones are near each other, as far as it is known. It changes no result.
+    pub order: &'a [usize],
 }
 
 /// What became of a pair.
@@ -77,17 +79,19 @@ impl Factor {
         let count = pairs.held.len();
         let mut residuals = vec![f64::NAN; plan.offsets[count] * self.responses];
         let mut status = vec![None; count];
-        let hat = plan.hat.as_deref();
+        let hat = plan.hat.as_ref();
+        let mut slots = plan.slots(&mut residuals, &mut status, self.responses);
         pool.run(
-            plan.chunks(&mut residuals, &mut status, self.responses, pool.threads()).into_iter(),
+            plan.chunks(&mut slots, pool.threads()).into_iter(),
             || Workspace::new(self, &plan),
             |workspace, chunk| {
-                let mut rest = chunk.residuals;
-                for (status, pair) in chunk.status.iter_mut().zip(chunk.pairs) {
-                    workspace.gather(pairs, pair);
-                    let (out, after) = rest.split_at_mut(workspace.validated * self.responses);
+                let mut rest = chunk.slots;
+                for run in chunk.runs {
+                    let run = plan.runs.get(run);
+                    let (slots, after) = rest.split_at_mut(run.len());
                     rest = after;
-                    *status = workspace.solve(self, hat, out);
+                    workspace.gather(pairs, run);
+                    workspace.solve(self, hat, slots);
                 }
             },
         )?;
@@ -122,8 +126,8 @@ impl Factor {
             tasks.into_iter(),
             || Workspace::new(self, plan),
             |workspace, (pair, status, out)| {
-                workspace.gather(pairs, pair);
-                match workspace.rescue(self, problem, pool, out) {
+                workspace.gather(pairs, &[pair]);
+                match workspace.rescue(self, problem, plan.hat.as_ref(), pool, out) {
                     Ok(found) => *status = Some(found),
                     Err(error) => drop(failure.set(error)),
                 }
@@ -159,19 +163,6 @@ impl Factor {
         )?;
         Ok(blocks)
     }
-
-    /// The lower triangle of H, row-major.
-    fn hat(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        const BAND: usize = 64;
-        let mut hat = vec![0.0; self.rows * self.rows];
-        let basis = &self.basis[..self.rows * self.rank];
-        pool.run(
-            hat.chunks_mut(BAND * self.rows).enumerate(),
-            || (),
-            |(), (band, out)| linalg::gram_rows(basis, self.rank, band * BAND, out, self.rows),
-        )?;
-        Ok(hat)
-    }
 }
 
 pub(crate) fn check_indices(sets: &Sets, bound: usize) -> Result<(), Error> {
@@ -182,88 +173,18 @@ pub(crate) fn check_indices(sets: &Sets, bound: usize) -> Result<(), Error> {
     }
 }
 
-/// Multiply-adds of the dual and of the primal for q rows.
-fn costs(q: usize, rank: usize, hat: bool) -> (f64, f64) {
-    let (q, p) = (q as f64, rank as f64);
-    let gram = if hat { q } else { q * p / 2.0 };
-    (q * gram + q * q * q / 6.0, q * p * p / 2.0 + p * p * p / 6.0)
-}
-
-/// Sizes, costs and places of all pairs, known before any is solved.
-struct Plan {
-    /// Multiply-adds before each pair; one more than the pairs.
-    cost: Vec<f64>,
-    offsets: Vec<usize>,
-    hat: Option<Vec<f64>>,
-    largest: usize,
-}
-
-struct Chunk<'a> {
-    pairs: Range<usize>,
-    residuals: &'a mut [f64],
-    status: &'a mut [Option<Status>],
-}
-
-impl Plan {
-    fn new(factor: &Factor, pairs: &Pairs<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
-        let count = pairs.held.len();
-        expect_length(pairs.validated.len(), count)?;
-        check_indices(pairs.rows, factor.rows)?;
-        check_indices(pairs.held, pairs.rows.len())?;
-        check_indices(pairs.validated, pairs.rows.len())?;
-        let rows =
-            |sets: &Sets, s: usize| sets.get(s).iter().map(|&d| pairs.rows.get(d).len()).sum::<usize>();
-        let held: Vec<usize> = (0..count).map(|s| rows(pairs.held, s)).collect();
-        let mut offsets = vec![0; count + 1];
-        for s in 0..count {
-            offsets[s + 1] = offsets[s] + rows(pairs.validated, s);
-        }
-        let total = |hat: bool| -> f64 {
-            held.iter().map(|&q| costs(q, factor.rank, hat)).map(|(dual, primal)| dual.min(primal)).sum()
-        };
-        let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
-        let keep_hat = factor.rows <= HAT_ROWS && whole + total(true) < total(false);
-        let hat = if keep_hat { Some(factor.hat(pool)?) } else { None };
-        let mut cost = vec![0.0; count + 1];
-        for (s, &q) in held.iter().enumerate() {
-            let (dual, primal) = costs(q, factor.rank, keep_hat);
-            let gather = (q * factor.rank + 100) as f64;
-            cost[s + 1] = cost[s] + dual.min(primal) + gather;
-        }
-        Ok(Self { cost, offsets, hat, largest: held.into_iter().max().unwrap_or(0) })
-    }
-
-    /// Runs of pairs of about equal cost: several a thread for balance, none so long that it delays an interrupt.
-    fn chunks<'a>(
-        &self,
-        mut residuals: &'a mut [f64],
-        mut status: &'a mut [Option<Status>],
-        responses: usize,
-        threads: usize,
-    ) -> Vec<Chunk<'a>> {
-        let count = status.len();
-        let target = (self.cost[count] / (8 * threads) as f64).clamp(1e5, 5e7);
-        let mut chunks = Vec::new();
-        let mut first = 0;
-        while first < count {
-            let goal = self.cost[first] + target;
-            let last = (first + 1..count).find(|&s| self.cost[s] >= goal).unwrap_or(count);
-            let (mine, rest) = residuals.split_at_mut((self.offsets[last] - self.offsets[first]) * responses);
-            let (states, others) = status.split_at_mut(last - first);
-            (residuals, status) = (rest, others);
-            chunks.push(Chunk { pairs: first..last, residuals: mine, status: states });
-            first = last;
-        }
-        chunks
-    }
-}
-
 /// Everything a thread needs to solve pairs without allocating.
 struct Workspace {
     system: Bordered,
-    /// Held-out rows of the pair at hand, the validated ones last.
+    /// Held-out rows of the run at hand: the validated ones, then those that each pair holds out beyond the one before.
     rows: Vec<usize>,
+    /// How many of `rows` each pair holds out.
+    ends: Vec<usize>,
+    /// Their places in the hat matrix.
+    places: Vec<usize>,
     validated: usize,
+    /// Estimates of lambda_min(M), one a pair.
+    least: Vec<f64>,
     refit: Refit,
 }
 
@@ -275,66 +196,102 @@ impl Workspace {
         let dual = q.min(if plan.hat.is_some() { q } else { p });
         system.reserve(dual, border, if plan.hat.is_some() { 0 } else { p });
         system.reserve(p, border, q);
-        Self { system, rows: Vec::with_capacity(q), validated: 0, refit: Refit::default() }
+        Self {
+            system,
+            rows: Vec::with_capacity(q),
+            ends: Vec::new(),
+            places: Vec::new(),
+            validated: 0,
+            least: Vec::new(),
+            refit: Refit::default(),
+        }
     }
 
-    fn gather(&mut self, pairs: &Pairs<'_>, pair: usize) {
-        let validated = pairs.validated.get(pair);
+    fn gather(&mut self, pairs: &Pairs<'_>, run: &[usize]) {
         self.rows.clear();
-        let mut skip = validated.iter().peekable();
-        for &datum in pairs.held.get(pair) {
-            if skip.next_if_eq(&&datum).is_none() {
-                self.rows.extend_from_slice(pairs.rows.get(datum));
+        self.ends.clear();
+        let mut inside = pairs.validated.get(run[0]);
+        inside.iter().for_each(|&datum| self.rows.extend_from_slice(pairs.rows.get(datum)));
+        self.validated = self.rows.len();
+        for &pair in run {
+            let mut known = inside.iter().peekable();
+            inside = pairs.held.get(pair);
+            for datum in inside {
+                if known.next_if_eq(&datum).is_none() {
+                    self.rows.extend_from_slice(pairs.rows.get(*datum));
+                }
+            }
+            self.ends.push(self.rows.len());
+        }
+    }
+
+    /// Writes the prediction residuals of the validated rows of every pair, but for those too close to rank loss.
+    fn solve(&mut self, factor: &Factor, hat: Option<&Hat>, slots: &mut [Slot<'_>]) {
+        let ends = std::mem::take(&mut self.ends);
+        let possible = ends.partition_point(|&q| factor.rank + q <= factor.total_rows);
+        let (slots, lost) = slots.split_at_mut(possible);
+        lost.iter_mut().for_each(|slot| *slot.status = Some(Status::Undefined));
+        if possible < 2 || !self.dual(factor, hat, &ends[..possible], slots) {
+            for (slot, &q) in slots.iter_mut().zip(&ends) {
+                self.solve_one(factor, hat, q, slot);
             }
         }
-        let others = self.rows.len();
-        for &datum in validated {
-            self.rows.extend_from_slice(pairs.rows.get(datum));
-        }
-        self.validated = self.rows.len() - others;
+        self.ends = ends;
     }
 
-    /// Writes the prediction residuals of the validated rows, or none if the pair is too close to rank loss.
-    fn solve(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> Option<Status> {
-        let q = self.rows.len();
-        if factor.total_rows < factor.rank + q {
-            return Some(Status::Undefined);
-        }
-        let least = match (q, hat) {
-            (0, _) => return Some(Status::Closed),
-            (1, _) => self.unrolled::<1>(factor, out),
-            (2, _) => self.unrolled::<2>(factor, out),
-            (3, _) => self.unrolled::<3>(factor, out),
-            (q, hat) => {
+    /// The pair of the first q rows.
+    fn solve_one(&mut self, factor: &Factor, hat: Option<&Hat>, q: usize, slot: &mut Slot<'_>) {
+        let least = match q {
+            0 => f64::INFINITY,
+            1 => self.unrolled::<1>(factor, slot.residuals),
+            2 => self.unrolled::<2>(factor, slot.residuals),
+            3 => self.unrolled::<3>(factor, slot.residuals),
+            q => {
                 let (dual, primal) = costs(q, factor.rank, hat.is_some());
-                if dual <= primal { self.dual(factor, hat, out) } else { self.primal(factor, out) }
+                if dual <= primal {
+                    self.dual(factor, hat, &[q], slice::from_mut(slot));
+                    return;
+                }
+                self.primal(factor, slot.residuals)
             }
         };
-        if least < SAFE {
-            return None;
+        self.accept(factor, least, slot);
+    }
+
+    /// Takes what was found, unless it is too close to rank loss.
+    fn accept(&self, factor: &Factor, least: f64, slot: &mut Slot<'_>) {
+        if least >= SAFE {
+            self.unweight(factor, slot.residuals);
+            *slot.status = Some(Status::Closed);
         }
-        self.unweight(factor, out);
-        Some(Status::Closed)
     }
 
     fn rescue(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
+        hat: Option<&Hat>,
         pool: &Pool<'_>,
         out: &mut [f64],
     ) -> Result<Status, Error> {
         out.fill(f64::NAN);
-        let least = self.primal_factor(factor, &(0..0));
+        let q = self.rows.len();
+        let (dual, primal) = costs(q, factor.rank, hat.is_some());
+        let least = if dual <= primal {
+            self.fill_dual(factor, hat, q, 0);
+            least_eigenvalue(&mut self.system, q, factor.responses)
+        } else {
+            self.primal_factor(factor, &(0..0))
+        };
         let Self { system, rows, validated, refit, .. } = self;
-        let status = refit.predict(factor, problem, pool, (system, least), (rows, *validated), out)?;
+        let inverse = if dual <= primal { Inverse::Dual(system, rows) } else { Inverse::Primal(system) };
+        let status = refit.predict(factor, problem, pool, (inverse, least), (rows, *validated), out)?;
         self.unweight(factor, out);
         Ok(status)
     }
 
     fn unweight(&self, factor: &Factor, out: &mut [f64]) {
-        let validated = &self.rows[self.rows.len() - self.validated..];
-        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(validated) {
+        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&self.rows[..self.validated]) {
             e.iter_mut().for_each(|e| *e *= factor.unweight(row));
         }
     }
@@ -365,45 +322,86 @@ impl Workspace {
                 l[i][j] = if i == j { value.max(0.0).sqrt() } else { value / l[j][j] };
             }
         }
-        let first = N - self.validated;
         for c in 0..factor.responses {
             let mut z: [f64; N] = std::array::from_fn(|i| factor.residual_row(self.rows[i])[c]);
             for i in 0..N {
                 z[i] = (z[i] - (0..i).map(|k| l[i][k] * z[k]).sum::<f64>()) / l[i][i];
             }
-            for i in (first..N).rev() {
+            for i in (0..N).rev() {
                 z[i] = (z[i] - (i + 1..N).map(|k| l[k][i] * z[k]).sum::<f64>()) / l[i][i];
-                out[(i - first) * factor.responses + c] = z[i];
             }
+            out.iter_mut().skip(c).step_by(factor.responses).zip(z).for_each(|(e, z)| *e = z);
         }
         smallest
     }
 
-    fn dual(&mut self, factor: &Factor, hat: Option<&[f64]>, out: &mut [f64]) -> f64 {
-        let (q, responses) = (self.rows.len(), factor.responses);
-        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank }, 0);
-        for (i, &row) in self.rows.iter().enumerate() {
-            match hat {
-                None => self.system.set_row(i, factor.basis_row(row)),
-                Some(hat) => {
-                    for (j, &other) in self.rows.iter().enumerate().take(i + 1) {
-                        *self.system.entry(i, j) -= hat[row.max(other) * factor.rows + row.min(other)];
-                    }
-                }
+    /// Solves the pairs of the first `ends` rows, each inside the next; false if the largest cannot be factored. More
+    /// validated rows than ride along are those of a single pair.
+    fn dual(&mut self, factor: &Factor, hat: Option<&Hat>, ends: &[usize], slots: &mut [Slot<'_>]) -> bool {
+        let (q, responses) = (ends[ends.len() - 1], factor.responses);
+        let carried = if self.validated <= CARRIED { self.validated } else { 0 };
+        self.fill_dual(factor, hat, q, carried);
+        if self.system.factor() <= 0.0 {
+            return false;
+        }
+        self.least_eigenvalues(ends, responses);
+        for c in 0..responses {
+            for k in 0..carried {
+                let products = self.system.forward_products(c, responses + PROBES + k);
+                leading_sums(products, ends, |pair, e| slots[pair].residuals[k * responses + c] = e);
+            }
+            if carried < self.validated {
+                let z = self.system.back_solve(c, 0);
+                slots[0].residuals.iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
+            }
+        }
+        for (slot, &least) in slots.iter_mut().zip(&self.least) {
+            self.accept(factor, least, slot);
+        }
+        true
+    }
+
+    /// `I - H_KK` of the first q rows, with residuals, and unit vectors of the first `carried` rows.
+    fn fill_dual(&mut self, factor: &Factor, hat: Option<&Hat>, q: usize, carried: usize) {
+        let responses = factor.responses;
+        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank }, carried);
+        let rows = &self.rows[..q];
+        if let Some(hat) = hat {
+            self.places.clear();
+            self.places.extend(rows.iter().map(|&row| hat.place[row]));
+            self.system.subtract(|i| hat.line(self.places[i]), &self.places);
+        }
+        for (i, &row) in rows.iter().enumerate() {
+            if hat.is_none() {
+                self.system.set_row(i, factor.basis_row(row));
             }
             for (c, &e) in factor.residual_row(row).iter().enumerate() {
                 *self.system.entry(q + c, i) = e;
             }
         }
-        self.system.clear_rows(q);
-        let least = least_eigenvalue(&mut self.system, q, responses);
-        if least >= SAFE {
-            for c in 0..responses {
-                let z = self.system.back_solve(c, q - self.validated);
-                out.iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
-            }
+        for k in 0..carried {
+            *self.system.entry(q + responses + PROBES + k, k) = 1.0;
         }
-        least
+        self.system.clear_rows(q);
+    }
+
+    /// As [`least_eigenvalue`], of every leading part.
+    fn least_eigenvalues(&mut self, ends: &[usize], responses: usize) {
+        let Self { system, least, .. } = self;
+        least.clear();
+        least.resize(ends.len(), f64::INFINITY);
+        let mut smallest = f64::INFINITY;
+        let mut pivots = system.pivots();
+        for ((least, &end), &start) in least.iter_mut().zip(ends).zip([0].iter().chain(ends)) {
+            smallest = pivots.by_ref().take(end - start).fold(smallest, f64::min);
+            *least = smallest;
+        }
+        drop(pivots);
+        for probe in responses..responses + PROBES {
+            leading_sums(system.forward_products(probe, probe), ends, |pair, sum| {
+                least[pair] = least[pair].min(by_probe(sum, ends[pair]));
+            });
+        }
     }
 
     fn primal_factor(&mut self, factor: &Factor, carried: &Range<usize>) -> f64 {
@@ -420,7 +418,7 @@ impl Workspace {
 
     fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
         let responses = factor.responses;
-        let validated = self.rows.len() - self.validated..self.rows.len();
+        let validated = 0..self.validated;
         let carry = validated.len() <= CARRIED;
         let least = self.primal_factor(factor, if carry { &validated } else { &(0..0) });
         if least < SAFE {
@@ -431,7 +429,7 @@ impl Workspace {
             // The border came out as y = -L^-1 Q_K^T e_K, and carried rows as u = L^-1 q.
             if carry {
                 for (k, &row) in rows {
-                    let change = self.system.forward_dot(c, responses + PROBES + k);
+                    let change: f64 = self.system.forward_products(c, responses + PROBES + k).sum();
                     out[k * responses + c] = factor.residual_row(row)[c] - change;
                 }
             } else {
@@ -445,6 +443,17 @@ impl Workspace {
     }
 }
 
+/// Hands on the sums of the first `ends` terms, ends that do not decrease.
+fn leading_sums(terms: impl Iterator<Item = f64>, ends: &[usize], mut hand: impl FnMut(usize, f64)) {
+    let mut terms = terms;
+    let (mut sum, mut start) = (0.0, 0);
+    for (k, &end) in ends.iter().enumerate() {
+        sum += terms.by_ref().take(end - start).sum::<f64>();
+        start = end;
+        hand(k, sum);
+    }
+}
+
 /// Factors, and estimates the smallest eigenvalue from above. Pivots alone can hide it (Kahan's triangles), so random
 /// signs d ride along below the responses: `d^T M^-1 d` is about 1 / lambda_min once that is small.
 pub(crate) fn least_eigenvalue(system: &mut Bordered, order: usize, responses: usize) -> f64 {
@@ -452,10 +461,15 @@ pub(crate) fn least_eigenvalue(system: &mut Bordered, order: usize, responses: u
     if smallest <= 0.0 {
         return 0.0;
     }
-    let probe = |k| system.forward_dot(responses + k, responses + k) - 10.0 * order as f64;
-    (0..PROBES)
-        .map(probe)
-        .fold(smallest, |least, grown| if grown > 0.0 { least.min(grown.recip()) } else { least })
+    (responses..responses + PROBES)
+        .map(|probe| by_probe(system.forward_products(probe, probe).sum(), order))
+        .fold(smallest, f64::min)
+}
+
+/// What a probe's `d^T M^-1 d` says of lambda_min, if anything.
+fn by_probe(square: f64, order: usize) -> f64 {
+    let grown = square - 10.0 * order as f64;
+    if grown > 0.0 { grown.recip() } else { f64::INFINITY }
 }
 
 /// The j-th of a fixed sequence of signs that no structure of a design knows of.

@@ -13,6 +13,7 @@
 //! * **Dual.** `I - H_KK = I - Q_K Q_K^T` is q x q for q held-out rows: cheap for small sets.
 //! * **Primal.** By the Woodbury identity `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K`, p x p: cheap for
 //!   large sets. The two cost the same at q = p.
+//! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout`].
 //! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border, see
 //!   [`cholesky`]; only the validated unknowns are solved for.
 //! * **Weights** scale rows by their roots; **penalty rows** Z extend A and are never held out, so Q is the top of the
@@ -28,6 +29,7 @@
 //! |---|---|
 //! | [`factor`] | blocked Householder QR: basis, rank, coefficients, residuals, leverage |
 //! | [`holdout`] | held-out pairs: which method, and their predictions in parallel |
+//! | `plan` | pairs that nest are solved together |
 //! | [`nested`] | every leading model at once: whole curves for the price of one model |
 //! | [`gram`] | the matrix that neighbouring held-out sets share |
 //! | [`doubled`] | the same with twice the digits, for pairs close to rank loss |
@@ -64,7 +66,7 @@
 //! };
 //! let fit = Factor::new(&problem, &pool)?;
 //! let alone: Sets = (0..3).map(|i| vec![i]).collect();
-//! let pairs = Pairs { held: &alone, validated: &alone, rows: &alone };
+//! let pairs = Pairs { held: &alone, validated: &alone, rows: &alone, order: &[] };
 //! let found = fit.predict(&problem, &pairs, &pool)?;
 //! assert!((found.residuals[2] - 4.5).abs() < 1e-12);
 //! # Ok::<(), mexpress::error::Error>(())
@@ -91,6 +93,7 @@ pub mod linalg;
 pub mod neighbours;
 pub mod nested;
 pub mod placement;
+mod plan;
 pub mod pool;
 #[cfg(feature = "python")]
 mod python;

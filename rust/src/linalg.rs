@@ -233,6 +233,21 @@ pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], rows:
     );
 }
 
+/// Copies the lower triangle of a square matrix to the upper one.
+pub fn mirror(a: &mut [f64], order: usize) {
+    // Tiles: a column of them stays in the cache while the rows that it mirrors are written.
+    const TILE: usize = 32;
+    for top in (0..order).step_by(TILE) {
+        for left in (0..=top).step_by(TILE) {
+            for i in top..order.min(top + TILE) {
+                for j in left..i.min(left + TILE) {
+                    a[j * order + i] = a[i * order + j];
+                }
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -295,6 +310,17 @@ mod tests {
                     assert!((out[(i - first) * rows + j] - exact).abs() < 1e-14);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_mirrored_matrix_is_symmetric() {
+        for order in [1, 31, 70] {
+            let lower = |i: usize, j: usize| (i.max(j) * 100 + i.min(j)) as f64;
+            let entry = |k: usize| if k % order > k / order { -1.0 } else { lower(k / order, k % order) };
+            let mut a: Vec<f64> = (0..order * order).map(entry).collect();
+            mirror(&mut a, order);
+            assert!((0..order * order).all(|k| a[k] == lower(k / order, k % order)));
         }
     }
 }

@@ -217,13 +217,15 @@ impl Factor {
         held: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
         validated: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
         rows: (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>),
+        order: PyReadonlyArray1<'py, i64>,
         threads: usize,
     ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
         let (held, validated, rows) =
             (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
         // At worst every pair is refitted.
         let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
-        let pairs = Pairs { held: &held, validated: &validated, rows: &rows };
+        let order = numbers(&order)?;
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &order };
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;

@@ -6,6 +6,8 @@
 //! the training rows by Householder reflections, which sees rank down to rounding; for nested models (`lead`, `forward`) the
 //! triangle that is left answers for all leading columns.
 
+use pulp::{Arch, Simd, WithSimd};
+
 use crate::cholesky::Bordered;
 use crate::error::Error;
 use crate::factor::{Factor, Problem, leading_rank, numerical_rank};
@@ -18,6 +20,29 @@ const ROWS: usize = 512;
 
 /// Refinement needs a lambda_min(M) at which the factor still contracts the error, and the basis has its digits.
 const REFINABLE: f64 = 1e-10;
+
+/// A factored system that applies the inverse of `M = I - Q_K^T Q_K`.
+pub(crate) enum Inverse<'a> {
+    /// The factor of M.
+    Primal(&'a mut Bordered),
+    /// That of `S = I - Q_K Q_K^T`, and the rows K: `M^-1 = I + Q_K^T S^-1 Q_K`.
+    Dual(&'a mut Bordered, &'a [usize]),
+}
+
+impl Inverse<'_> {
+    /// `x <- M^-1 x`.
+    fn apply(&mut self, factor: &Factor, x: &mut [f64]) {
+        match self {
+            Self::Primal(system) => x.copy_from_slice(system.solve(x)),
+            Self::Dual(system, rows) => {
+                let held: Vec<f64> = rows.iter().map(|&i| dot(factor.basis_row(i), x)).collect();
+                for (z, &i) in system.solve(&held).iter().zip(*rows) {
+                    x.iter_mut().zip(factor.basis_row(i)).for_each(|(x, q)| *x += z * q);
+                }
+            }
+        }
+    }
+}
 
 /// Workspace; allocated at the first pair that needs it.
 #[derive(Default)]
@@ -35,14 +60,14 @@ pub struct Refit {
 }
 
 impl Refit {
-    /// Predicts without `rows`, and writes the weighted residuals of the last `validated` of them. `system` holds the
-    /// factor of M, and `least` estimates lambda_min(M).
+    /// Predicts without `rows`, and writes the weighted residuals of the first `validated` of them. `least` estimates
+    /// lambda_min(M).
     pub(crate) fn predict(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        (system, least): (&mut Bordered, f64),
+        (inverse, least): (Inverse<'_>, f64),
         (rows, validated): (&[usize], usize),
         out: &mut [f64],
     ) -> Result<Status, Error> {
@@ -51,8 +76,8 @@ impl Refit {
         self.change.clear();
         self.change.resize(factor.rank * factor.responses, 0.0);
         self.row.resize(factor.rank + factor.responses, 0.0);
-        let kept = &rows[rows.len() - validated..];
-        let status = if least > REFINABLE && self.certain(factor) && self.refine(factor, system) {
+        let kept = &rows[..validated];
+        let status = if least > REFINABLE && self.certain(factor) && self.refine(factor, rows, inverse) {
             self.write(out, factor, kept, |row, out| {
                 out[..factor.rank].copy_from_slice(factor.basis_row(row));
                 out[factor.rank..].copy_from_slice(factor.residual_row(row));
@@ -94,27 +119,32 @@ impl Refit {
         bound > factor.tolerance * (factor.columns as f64).sqrt()
     }
 
-    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until d is rounding; false if it does not get there.
-    fn refine(&mut self, factor: &Factor, system: &mut Bordered) -> bool {
+    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until what is left is rounding; false if it does not get there.
+    fn refine(&mut self, factor: &Factor, rows: &[usize], mut inverse: Inverse<'_>) -> bool {
         let Self { held, change, gradient, .. } = self;
         let rank = factor.rank;
+        let arch = Arch::new();
         gradient.resize(rank, 0.0);
         change.chunks_exact_mut(rank).enumerate().all(|(c, change)| {
-            let mut before = f64::INFINITY;
+            // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
+            gradient.fill(0.0);
+            for &row in rows {
+                let e = factor.residual_row(row)[c];
+                gradient.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
+            }
+            inverse.apply(factor, gradient);
+            change.copy_from_slice(gradient);
+            let mut before = dot(change, change);
             for _ in 0..8 {
                 gradient.fill(0.0);
-                for i in (0..held.len()).filter(|&i| !held[i]) {
-                    let q = factor.basis_row(i);
-                    let rest = factor.residual_row(i)[c] - dot(q, change);
-                    gradient.iter_mut().zip(q).for_each(|(g, q)| *g += rest * q);
-                }
-                let step = system.solve(gradient);
-                change.iter_mut().zip(step).for_each(|(x, d)| *x += d);
-                let (length, whole) = (dot(step, step), dot(change, change));
-                if length <= 1e-24 * whole {
+                arch.dispatch(Gradient { factor, held, response: c, change, sum: gradient });
+                inverse.apply(factor, gradient);
+                change.iter_mut().zip(&*gradient).for_each(|(x, d)| *x += d);
+                let (length, whole) = (dot(gradient, gradient), dot(change, change));
+                // Squares: the next step gains as many digits as this one did.
+                if length * length <= 1e-24 * whole * before {
                     return true;
                 }
-                // Squares: each step must gain a digit.
                 if length.is_nan() || length > 1e-2 * before {
                     return false;
                 }
@@ -240,5 +270,43 @@ impl Refit {
         let design = if full { r } else { linalg::product(&r, &factor.triangle, rank, rank, factor.columns) };
         let values = linalg::thin_svd(design, rank, factor.columns, pool)?.s;
         Ok(numerical_rank(&values, factor.tolerance))
+    }
+}
+
+/// Adds `Q_-K^T (e_-K - Q_-K change)` to a vector: nearly all that a refinement costs.
+struct Gradient<'a> {
+    factor: &'a Factor,
+    held: &'a [bool],
+    response: usize,
+    change: &'a [f64],
+    sum: &'a mut [f64],
+}
+
+impl WithSimd for Gradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        /// Sums that run beside each other, so that none waits for itself.
+        const RUNNING: usize = 4;
+        let (change, last_change) = S::as_simd_f64s(self.change);
+        let (sum, last_sum) = S::as_mut_simd_f64s(self.sum);
+        for row in (0..self.held.len()).filter(|&row| !self.held[row]) {
+            let (q, last) = S::as_simd_f64s(self.factor.basis_row(row));
+            let mut fits = [simd.splat_f64s(0.0); RUNNING];
+            for (q, change) in q.chunks(RUNNING).zip(change.chunks(RUNNING)) {
+                for ((fit, q), change) in fits.iter_mut().zip(q).zip(change) {
+                    *fit = simd.mul_add_f64s(*q, *change, *fit);
+                }
+            }
+            let fit = fits.iter().fold(simd.splat_f64s(0.0), |sum, fit| simd.add_f64s(sum, *fit));
+            let tail: f64 = last.iter().zip(last_change).map(|(q, change)| q * change).sum();
+            let rest = self.factor.residual_row(row)[self.response] - simd.reduce_sum_f64s(fit) - tail;
+            let weight = simd.splat_f64s(rest);
+            for (x, q) in sum.iter_mut().zip(q) {
+                *x = simd.mul_add_f64s(*q, weight, *x);
+            }
+            last_sum.iter_mut().zip(last).for_each(|(x, q)| *x += rest * q);
+        }
     }
 }
