@@ -94,6 +94,50 @@ def test_any_sets_of_any_problem(*, n, p, coupling, responses, weighted, penalty
     assert worst_error(problem, scheme, quiet(model, scheme)) < 1e-9
 
 
+@settings(max_examples=150)
+@given(
+    n=st.integers(2, 30),
+    p=st.integers(1, 9),
+    coupling=st.sampled_from([1, 2, 5, "uneven"]),
+    responses=st.sampled_from([1, 3]),
+    weighted=st.booleans(),
+    penalised=st.booleans(),
+    lossy=st.booleans(),
+    seed=st.integers(0, 10_000),
+)
+def test_sets_that_nest_around_a_datum_equal_their_refits(
+    *, n, p, coupling, responses, weighted, penalised, lossy, seed
+):
+    # Such sets share a factorisation, until they lose rank; others between them do not belong to it.
+    rng = np.random.default_rng(seed)
+    labels = np.arange(n * coupling) // coupling if coupling != "uneven" else np.arange(2 * n) % n
+    if coupling == "uneven":
+        labels = np.concatenate([labels, rng.integers(0, n, n)])
+    A = rng.normal(size=(len(labels), p))
+    if lossy:
+        A[:, rng.integers(p)] *= rng.uniform(size=len(A)) < 0.2
+    b = rng.normal(size=(len(labels), responses))
+    weights = rng.uniform(0.01, 100, n) if weighted else None
+    penalty = rng.normal(size=(2, p)) if penalised else None
+    problem = Problem(A, b[:, 0] if responses == 1 else b, labels, weights, penalty)
+    held, validated = [], []
+    for datum in rng.permutation(n)[:6]:
+        others = rng.permutation(np.delete(np.arange(n), datum))
+        sizes = rng.integers(0, n, 5)
+        sets = [others[:size] for size in sizes] + [rng.choice(others, rng.integers(0, n), replace=False)]
+        held += [np.append(inside, datum) for inside in sets]
+        validated += [[datum]] * len(sets)
+    scheme = mx.schemes.from_sets(held, validated, n=n)
+    model = problem.model()
+    cv = quiet(model, scheme)
+    assert worst_error(problem, scheme, cv) < 1e-9
+    visited = mx.schemes.Scheme(n, scheme.held_out, scheme.validated, rng.permutation(len(scheme)))
+    np.testing.assert_allclose(quiet(model, visited).residuals, cv.residuals, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(
+        quiet(model, visited, threads=1).residuals, quiet(model, visited, threads=2).residuals
+    )
+
+
 def errors(problem, points):
     """Worst relative errors of the library and of lstsq, both against refits in extended precision."""
     model = problem.model()
