@@ -35,6 +35,15 @@ def test_the_region_is_the_convex_hull(points):
     np.testing.assert_array_equal(covered_region(corners), corners)
 
 
+@pytest.mark.parametrize("cells", [3, 30, 10_000])
+@pytest.mark.parametrize("number", [51, 400, 5000])
+def test_the_region_of_many_points_is_the_convex_hull(number, cells):
+    points = np.random.default_rng(number).integers(0, cells, (number, 2)).astype(float)
+    assert {tuple(c) for c in covered_region(points)} == {
+        tuple(points[v]) for v in ConvexHull(points).vertices
+    }
+
+
 @pytest.mark.parametrize(
     "points",
     [
@@ -156,6 +165,12 @@ def test_cells_of_a_long_region_are_round():
 def test_only_the_region_matters_not_the_density():
     crowd = np.random.default_rng(0).uniform(10, 60, (500, 2))
     np.testing.assert_array_equal(lloyd(np.vstack([SQUARE, crowd]), 7), lloyd(SQUARE, 7))
+
+
+@pytest.mark.parametrize("count", [3, 20, 60])
+def test_the_region_will_do_instead_of_the_points(count):
+    points = np.random.default_rng(1).normal(size=(300, 2))
+    np.testing.assert_array_equal(lloyd(covered_region(points), count), lloyd(points, count))
 
 
 def test_the_seed_decides():

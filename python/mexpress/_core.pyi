@@ -19,6 +19,7 @@ __all__ = [
     "neighbours_delaunay",
     "neighbours_nearest",
     "neighbours_within",
+    "spread",
 ]
 
 @final
@@ -79,6 +80,7 @@ def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ..
 def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...
 def neighbours_delaunay(points: _Floats) -> _Sets: ...
 def lloyd(samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int) -> _Floats: ...
+def spread(samples: _Floats, draws: _Floats) -> _Integers: ...
 def arrival(
     points: _Floats,
     values: _Floats,

@@ -305,7 +305,7 @@ def _triangle(basis: Floats, random: np.random.Generator) -> tuple[int, int, int
 
 def _convex_hull(points: Floats) -> Floats:
     """Andrew's monotone chain, after the bulk of many points is dropped."""
-    if len(points) > 500:
+    if len(points) > 50:
         points = _outer(points)
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
     corners = _right_turns_removed(ordered)[:-1] + _right_turns_removed(ordered[::-1])[:-1]
@@ -364,11 +364,6 @@ def _cell_centres(coordinates: Floats, step: float) -> Floats:
 
 def _spread_start(samples: Floats, count: int, random: np.random.Generator) -> Floats:
     """Draw samples, each with a probability that grows with its squared distance to those already drawn."""
-    centres = np.empty((count, 2))
-    squared = np.ones(len(samples))
-    for k in range(count):
-        centres[k] = samples[random.choice(len(samples), p=squared / squared.sum())]
-        to_centre = ((samples - centres[k]) ** 2).sum(axis=1)
-        squared = to_centre if k == 0 else np.minimum(squared, to_centre)
+    centres = samples[_core.spread(samples, random.random(count))]
     # Off the grid: samples as near to one centre as to another would leave the choice to rounding.
     return np.asarray(centres + 0.01 / np.sqrt(count) * random.standard_normal(centres.shape))

@@ -234,7 +234,7 @@ def select_warp(
     (1, 2)
     """
     source, target = matched(source, target)
-    covered_region(source, "source")  # else it is the points of `lloyd` that are to blame
+    region = covered_region(source, "source")
     tried = _counts(counts, len(source))
     size = check.image_size(image_size)
     if not isinstance(placement, str) or placement != "lloyd":
@@ -248,7 +248,7 @@ def select_warp(
     warps: dict[int, Warp] = {}
     with bar(len(tried), "warp") if progress else nullcontext(lambda: None) as step:
         for count in tried:
-            control_points = lloyd(source, count, seed, threads)
+            control_points = lloyd(region, count, seed, threads)
             design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
             rows = math.sqrt(weight) * design.bending() if weight else None
             model = LeastSquares(design.A, design.b, design.coupling, penalty=rows, threads=threads)

@@ -96,27 +96,43 @@ impl Bordered {
         }
     }
 
+    /// Begins a system without terms: `C` is the identity less `rows(i)[columns[j]]`, its border zero.
+    pub fn start_complement<'a>(
+        &mut self,
+        rows: impl Fn(usize) -> &'a [f64],
+        columns: &[usize],
+        border: usize,
+    ) {
+        let order = columns.len();
+        self.reserve(order, border, 0);
+        self.shape = Shape { order, terms: 0, panels: (order + border).div_ceil(PANEL) };
+        let stride = self.shape.stride();
+        for panel in 0..self.shape.panels {
+            let first = panel * PANEL;
+            let at = self.skip + panel * stride;
+            let (entries, _) = self.storage[at..at + stride].as_chunks_mut::<PANEL>();
+            let width = PANEL.min(order.saturating_sub(first));
+            if width < PANEL {
+                entries.fill([0.0; PANEL]);
+            }
+            if width == 0 {
+                continue;
+            }
+            // Lanes beyond the last row repeat it, and are left alone.
+            let lines: [&[f64]; PANEL] = std::array::from_fn(|lane| rows(first + lane.min(width - 1)));
+            for (entries, &column) in entries.iter_mut().zip(&columns[..first + width]) {
+                for (entry, line) in entries[..width].iter_mut().zip(lines) {
+                    *entry = -line[column];
+                }
+            }
+            (0..width).for_each(|lane| entries[first + lane][lane] += 1.0);
+        }
+    }
+
     /// Entry of `C`, for rows below `order + border` and columns below `order`.
     pub fn entry(&mut self, row: usize, column: usize) -> &mut f64 {
         let at = (self.shape.terms + column) * PANEL + row % PANEL;
         &mut self.storage[self.skip + row / PANEL * self.shape.stride() + at]
-    }
-
-    /// Subtracts `rows(i)[columns[j]]` from every entry (i, j) of the lower triangle of C.
-    pub fn subtract<'a>(&mut self, rows: impl Fn(usize) -> &'a [f64], columns: &[usize]) {
-        let Shape { order, terms, .. } = self.shape;
-        for first in (0..order).step_by(PANEL) {
-            let width = PANEL.min(order - first);
-            // Lanes beyond the last row repeat it, and are left alone.
-            let lines: [&[f64]; PANEL] = std::array::from_fn(|lane| rows(first + lane.min(width - 1)));
-            let at = self.skip + first / PANEL * self.shape.stride() + terms * PANEL;
-            let (panel, _) = self.storage[at..].as_chunks_mut::<PANEL>();
-            for (entries, &column) in panel.iter_mut().zip(&columns[..first + width]) {
-                for (entry, line) in entries[..width].iter_mut().zip(lines) {
-                    *entry -= line[column];
-                }
-            }
-        }
     }
 
     /// Sets every term: the rows' entries are those of `head(t)`, then those of `border(t)`, then zeros.

@@ -19,7 +19,7 @@ use crate::factor::{Factor, Problem, expect_length};
 use crate::linalg::dot;
 use crate::plan::{CARRIED, Hat, Plan, Slot, costs};
 use crate::pool::Pool;
-use crate::refit::{Inverse, Refit};
+use crate::refit::{Inverse, Refit, Suspect};
 use crate::scheme::Sets;
 
 /// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
@@ -28,6 +28,10 @@ const SAFE: f64 = 2e-6;
 
 /// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
 pub(crate) const PROBES: usize = 2;
+
+/// Pairs close to rank loss that share a pass over the basis, and how many numbers their factors may have.
+const BATCH: usize = 16;
+const BATCH_SIZE: usize = 4_000_000;
 
 /// Which data each pair holds out and validates, and the rows of every datum.
 pub struct Pairs<'a> {
@@ -101,7 +105,7 @@ impl Factor {
         Ok(Predictions { residuals, rows: rows.collect(), offsets: plan.offsets, status })
     }
 
-    /// The pairs that the closed form left, each a task of its own: they cost far more than the others.
+    /// The pairs that the closed form left, in small batches: they cost far more than the others.
     fn rescue(
         &self,
         problem: &Problem<'_>,
@@ -112,23 +116,37 @@ impl Factor {
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
         let mut rest = residuals;
-        let mut tasks = Vec::new();
+        let mut left = Vec::new();
         for (pair, status) in status.iter_mut().enumerate() {
             let size = (plan.offsets[pair + 1] - plan.offsets[pair]) * self.responses;
             let (out, after) = rest.split_at_mut(size);
             rest = after;
             if status.is_none() {
-                tasks.push((pair, status, out));
+                left.push((pair, status, out));
             }
         }
+        let batch = (BATCH_SIZE / (self.rank * self.rank).max(1)).clamp(1, BATCH);
         let failure = OnceLock::new();
         pool.run(
-            tasks.into_iter(),
-            || Workspace::new(self, plan),
-            |workspace, (pair, status, out)| {
-                workspace.gather(pairs, &[pair]);
-                match workspace.rescue(self, problem, plan.hat.as_ref(), pool, out) {
-                    Ok(found) => *status = Some(found),
+            left.chunks_mut(batch),
+            || (Refit::default(), (0..batch).map(|_| Workspace::new(self, plan)).collect::<Vec<_>>()),
+            |(refit, workspaces), batch| {
+                let hat = plan.hat.as_ref();
+                let mut suspects = Vec::with_capacity(batch.len());
+                let mut found = Vec::with_capacity(batch.len());
+                for (workspace, (pair, status, out)) in workspaces.iter_mut().zip(batch) {
+                    workspace.gather(pairs, &[*pair]);
+                    out.fill(f64::NAN);
+                    suspects.push(workspace.suspect(self, hat, out));
+                    found.push(status);
+                }
+                match refit.predict(self, problem, pool, &mut suspects) {
+                    Ok(all) => {
+                        for ((status, now), suspect) in found.into_iter().zip(all).zip(suspects) {
+                            unweight(self, &suspect.rows[..suspect.validated], suspect.out);
+                            **status = Some(now);
+                        }
+                    }
                     Err(error) => drop(failure.set(error)),
                 }
             },
@@ -185,7 +203,6 @@ struct Workspace {
     validated: usize,
     /// Estimates of lambda_min(M), one a pair.
     least: Vec<f64>,
-    refit: Refit,
 }
 
 impl Workspace {
@@ -203,7 +220,6 @@ impl Workspace {
             places: Vec::new(),
             validated: 0,
             least: Vec::new(),
-            refit: Refit::default(),
         }
     }
 
@@ -261,20 +277,13 @@ impl Workspace {
     /// Takes what was found, unless it is too close to rank loss.
     fn accept(&self, factor: &Factor, least: f64, slot: &mut Slot<'_>) {
         if least >= SAFE {
-            self.unweight(factor, slot.residuals);
+            unweight(factor, &self.rows[..self.validated], slot.residuals);
             *slot.status = Some(Status::Closed);
         }
     }
 
-    fn rescue(
-        &mut self,
-        factor: &Factor,
-        problem: &Problem<'_>,
-        hat: Option<&Hat>,
-        pool: &Pool<'_>,
-        out: &mut [f64],
-    ) -> Result<Status, Error> {
-        out.fill(f64::NAN);
+    /// The pair at hand, for another try.
+    fn suspect<'a>(&'a mut self, factor: &Factor, hat: Option<&Hat>, out: &'a mut [f64]) -> Suspect<'a> {
         let q = self.rows.len();
         let (dual, primal) = costs(q, factor.rank, hat.is_some());
         let least = if dual <= primal {
@@ -283,27 +292,9 @@ impl Workspace {
         } else {
             self.primal_factor(factor, &(0..0))
         };
-        let Self { system, rows, validated, refit, .. } = self;
+        let Self { system, rows, validated, .. } = self;
         let inverse = if dual <= primal { Inverse::Dual(system, rows) } else { Inverse::Primal(system) };
-        let status = refit.predict(factor, problem, pool, (inverse, least), (rows, *validated), out)?;
-        self.unweight(factor, out);
-        Ok(status)
-    }
-
-    fn unweight(&self, factor: &Factor, out: &mut [f64]) {
-        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&self.rows[..self.validated]) {
-            e.iter_mut().for_each(|e| *e *= factor.unweight(row));
-        }
-    }
-
-    /// Begins a system with a border of right-hand sides, probes, and `carried` rows.
-    fn start(&mut self, order: usize, responses: usize, terms: usize, carried: usize) {
-        self.system.start(order, responses + PROBES + carried, terms);
-        for probe in 0..PROBES {
-            for j in 0..order {
-                *self.system.entry(order + responses + probe, j) = sign(probe, j);
-            }
-        }
+        Suspect { inverse, least, rows, validated: *validated, out }
     }
 
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
@@ -364,13 +355,17 @@ impl Workspace {
     /// `I - H_KK` of the first q rows, with residuals, and unit vectors of the first `carried` rows.
     fn fill_dual(&mut self, factor: &Factor, hat: Option<&Hat>, q: usize, carried: usize) {
         let responses = factor.responses;
-        self.start(q, responses, if hat.is_some() { 0 } else { factor.rank }, carried);
         let rows = &self.rows[..q];
-        if let Some(hat) = hat {
-            self.places.clear();
-            self.places.extend(rows.iter().map(|&row| hat.place[row]));
-            self.system.subtract(|i| hat.line(self.places[i]), &self.places);
+        let border = responses + PROBES + carried;
+        match hat {
+            None => self.system.start(q, border, factor.rank),
+            Some(hat) => {
+                self.places.clear();
+                self.places.extend(rows.iter().map(|&row| hat.place[row]));
+                self.system.start_complement(|i| hat.line(self.places[i]), &self.places, border);
+            }
         }
+        set_probes(&mut self.system, q, responses);
         for (i, &row) in rows.iter().enumerate() {
             if hat.is_none() {
                 self.system.set_row(i, factor.basis_row(row));
@@ -405,7 +400,9 @@ impl Workspace {
     }
 
     fn primal_factor(&mut self, factor: &Factor, carried: &Range<usize>) -> f64 {
-        self.start(factor.rank, factor.responses, self.rows.len(), carried.len());
+        let border = factor.responses + PROBES + carried.len();
+        self.system.start(factor.rank, border, self.rows.len());
+        set_probes(&mut self.system, factor.rank, factor.responses);
         let rows = &self.rows;
         for (k, &row) in rows[carried.clone()].iter().enumerate() {
             for (j, &q) in factor.basis_row(row).iter().enumerate() {
@@ -440,6 +437,22 @@ impl Workspace {
             }
         }
         least
+    }
+}
+
+/// Random signs in the border below the responses, see [`least_eigenvalue`].
+fn set_probes(system: &mut Bordered, order: usize, responses: usize) {
+    for probe in 0..PROBES {
+        for j in 0..order {
+            *system.entry(order + responses + probe, j) = sign(probe, j);
+        }
+    }
+}
+
+/// Brings residuals of rows from weighted to plain units.
+fn unweight(factor: &Factor, rows: &[usize], out: &mut [f64]) {
+    for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
+        e.iter_mut().for_each(|e| *e *= factor.unweight(row));
     }
 }
 

@@ -212,6 +212,19 @@ pub fn transposed_product(a: &[f64], b: &[f64], columns: usize, width: usize, ou
     );
 }
 
+/// `out <- a b`, with a (rows x columns) row-major, b (columns x width) column-major, out (rows x width) row-major.
+pub fn rows_product(a: &[f64], b: &[f64], columns: usize, width: usize, out: &mut [f64]) {
+    let rows = a.len() / columns.max(1);
+    matmul(
+        MatMut::from_row_major_slice_mut(out, rows, width),
+        Accum::Replace,
+        MatRef::from_row_major_slice(a, rows, columns),
+        MatRef::from_column_major_slice(b, columns, width),
+        1.0,
+        Par::Seq,
+    );
+}
+
 /// The lower triangle of `a a^T` for the rows `first..` of a row-major matrix of `columns` columns, against all rows
 /// up to their own: row i of the result is written to `out[i - first]`, `rows` numbers apart.
 pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], rows: usize) {

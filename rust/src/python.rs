@@ -481,6 +481,19 @@ fn lloyd<'py>(
     table(py, centres, count, 2)
 }
 
+/// Samples drawn for a start: indices.
+#[pyfunction]
+fn spread<'py>(
+    py: Python<'py>,
+    samples: PyReadonlyArray2<'py, f64>,
+    draws: PyReadonlyArray1<'py, f64>,
+) -> PyResult<Array1<'py, i64>> {
+    let cost = (samples.shape()[0] * draws.shape()[0]) as f64;
+    let (samples, draws) = (matrix(&samples)?, slice(&draws)?);
+    let drawn = interruptible(py, cost, 1, |pool| placement::spread(samples, draws, pool))?;
+    Ok(indices(py, &drawn))
+}
+
 /// The data that become control points, in the order of their arrival.
 #[pyfunction]
 fn arrival<'py>(
@@ -507,6 +520,6 @@ mod _core {
     #[pymodule_export]
     use super::{
         Around, Factor, Nested, along_curve, arrival, find_not_finite, lloyd, neighbours_delaunay,
-        neighbours_nearest, neighbours_within,
+        neighbours_nearest, neighbours_within, spread,
     };
 }

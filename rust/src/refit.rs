@@ -2,11 +2,10 @@
 //!
 //! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is
 //! about eps / lambda_min(M). Two remedies, the cheaper first. *Refinement* takes the residuals of the training rows
-//! themselves, which do not suffer, and corrects with the factor at hand. Where even that is too coarse, a *refit* reduces
+//! themselves, which do not suffer, and corrects with the factor at hand; several pairs at once, so that one pass over the
+//! basis serves all. Where even that is too coarse, a *refit* reduces
 //! the training rows by Householder reflections, which sees rank down to rounding; for nested models (`lead`, `forward`) the
 //! triangle that is left answers for all leading columns.
-
-use pulp::{Arch, Simd, WithSimd};
 
 use crate::cholesky::Bordered;
 use crate::error::Error;
@@ -50,7 +49,7 @@ pub struct Refit {
     held: Vec<bool>,
     change: Vec<f64>,
     row: Vec<f64>,
-    gradient: Vec<f64>,
+    batch: Batch,
     /// A block of training rows under the triangle of those before, column-major.
     block: Vec<f64>,
     /// Rows of the block.
@@ -60,37 +59,44 @@ pub struct Refit {
 }
 
 impl Refit {
-    /// Predicts without `rows`, and writes the weighted residuals of the first `validated` of them. `least` estimates
-    /// lambda_min(M).
+    /// Predicts the validated rows of every pair, and writes their weighted residuals.
     pub(crate) fn predict(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        (inverse, least): (Inverse<'_>, f64),
-        (rows, validated): (&[usize], usize),
-        out: &mut [f64],
-    ) -> Result<Status, Error> {
-        self.held.resize(factor.total_rows, false);
-        rows.iter().for_each(|&i| self.held[i] = true);
-        self.change.clear();
-        self.change.resize(factor.rank * factor.responses, 0.0);
+        suspects: &mut [Suspect<'_>],
+    ) -> Result<Vec<Status>, Error> {
         self.row.resize(factor.rank + factor.responses, 0.0);
-        let kept = &rows[..validated];
-        let status = if least > REFINABLE && self.certain(factor) && self.refine(factor, rows, inverse) {
-            self.write(out, factor, kept, |row, out| {
-                out[..factor.rank].copy_from_slice(factor.basis_row(row));
-                out[factor.rank..].copy_from_slice(factor.residual_row(row));
-                Ok(())
-            })?;
-            Status::Refined
-        } else if self.reduce(factor, problem, pool, rows.len())? {
-            self.write(out, factor, kept, |row, out| factor.full_rank_row(problem, row, out))?;
-            Status::Refitted
-        } else {
-            Status::Undefined
-        };
-        rows.iter().for_each(|&i| self.held[i] = false);
+        let refined = self.batch.refine(factor, suspects);
+        let mut status = Vec::with_capacity(suspects.len());
+        for (s, (suspect, refined)) in suspects.iter_mut().zip(refined).enumerate() {
+            let Suspect { rows, validated, out, .. } = suspect;
+            let kept = &rows[..*validated];
+            self.change.clear();
+            if refined {
+                let changes = self.batch.changes.chunks_exact(factor.rank * self.batch.width);
+                changes.for_each(|all| self.change.extend(&all[s * factor.rank..(s + 1) * factor.rank]));
+                self.write(out, factor, kept, |row, out| {
+                    out[..factor.rank].copy_from_slice(factor.basis_row(row));
+                    out[factor.rank..].copy_from_slice(factor.residual_row(row));
+                    Ok(())
+                })?;
+                status.push(Status::Refined);
+                continue;
+            }
+            self.change.resize(factor.rank * factor.responses, 0.0);
+            self.held.resize(factor.total_rows, false);
+            rows.iter().for_each(|&i| self.held[i] = true);
+            let reduced = self.reduce(factor, problem, pool, rows.len());
+            rows.iter().for_each(|&i| self.held[i] = false);
+            status.push(if reduced? {
+                self.write(out, factor, kept, |row, out| factor.full_rank_row(problem, row, out))?;
+                Status::Refitted
+            } else {
+                Status::Undefined
+            });
+        }
         Ok(status)
     }
 
@@ -110,48 +116,6 @@ impl Refit {
             }
         }
         Ok(())
-    }
-
-    /// Whether what can be refined leaves no doubt of the training rows' rank. Their singular values are at least those of
-    /// the design times the square root of lambda_min(M), which is allowed a hundredth of its estimate.
-    fn certain(&self, factor: &Factor) -> bool {
-        let bound = factor.least * (REFINABLE / 100.0).sqrt();
-        bound > factor.tolerance * (factor.columns as f64).sqrt()
-    }
-
-    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until what is left is rounding; false if it does not get there.
-    fn refine(&mut self, factor: &Factor, rows: &[usize], mut inverse: Inverse<'_>) -> bool {
-        let Self { held, change, gradient, .. } = self;
-        let rank = factor.rank;
-        let arch = Arch::new();
-        gradient.resize(rank, 0.0);
-        change.chunks_exact_mut(rank).enumerate().all(|(c, change)| {
-            // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
-            gradient.fill(0.0);
-            for &row in rows {
-                let e = factor.residual_row(row)[c];
-                gradient.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
-            }
-            inverse.apply(factor, gradient);
-            change.copy_from_slice(gradient);
-            let mut before = dot(change, change);
-            for _ in 0..8 {
-                gradient.fill(0.0);
-                arch.dispatch(Gradient { factor, held, response: c, change, sum: gradient });
-                inverse.apply(factor, gradient);
-                change.iter_mut().zip(&*gradient).for_each(|(x, d)| *x += d);
-                let (length, whole) = (dot(gradient, gradient), dot(change, change));
-                // Squares: the next step gains as many digits as this one did.
-                if length * length <= 1e-24 * whole * before {
-                    return true;
-                }
-                if length.is_nan() || length > 1e-2 * before {
-                    return false;
-                }
-                before = length;
-            }
-            false
-        })
     }
 
     /// Solves the training rows by QR; false if they have lost rank.
@@ -273,40 +237,116 @@ impl Refit {
     }
 }
 
-/// Adds `Q_-K^T (e_-K - Q_-K change)` to a vector: nearly all that a refinement costs.
-struct Gradient<'a> {
-    factor: &'a Factor,
-    held: &'a [bool],
-    response: usize,
-    change: &'a [f64],
-    sum: &'a mut [f64],
+/// A pair close to rank loss.
+pub(crate) struct Suspect<'a> {
+    pub inverse: Inverse<'a>,
+    /// An estimate of lambda_min(M).
+    pub least: f64,
+    /// Held-out rows, those that are validated first.
+    pub rows: &'a [usize],
+    pub validated: usize,
+    pub out: &'a mut [f64],
 }
 
-impl WithSimd for Gradient<'_> {
-    type Output = ();
+/// Workspace of the refinement.
+#[derive(Default)]
+struct Batch {
+    /// Pairs refined at once.
+    width: usize,
+    /// One vector a pair, for each response: rank x width, column-major.
+    changes: Vec<f64>,
+    gradients: Vec<f64>,
+    part: Vec<f64>,
+    rest: Vec<f64>,
+}
 
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        /// Sums that run beside each other, so that none waits for itself.
-        const RUNNING: usize = 4;
-        let (change, last_change) = S::as_simd_f64s(self.change);
-        let (sum, last_sum) = S::as_mut_simd_f64s(self.sum);
-        for row in (0..self.held.len()).filter(|&row| !self.held[row]) {
-            let (q, last) = S::as_simd_f64s(self.factor.basis_row(row));
-            let mut fits = [simd.splat_f64s(0.0); RUNNING];
-            for (q, change) in q.chunks(RUNNING).zip(change.chunks(RUNNING)) {
-                for ((fit, q), change) in fits.iter_mut().zip(q).zip(change) {
-                    *fit = simd.mul_add_f64s(*q, *change, *fit);
+impl Batch {
+    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until what is left is rounding; tells of which pairs it is.
+    fn refine(&mut self, factor: &Factor, suspects: &mut [Suspect<'_>]) -> Vec<bool> {
+        let size = factor.rank * suspects.len();
+        self.width = suspects.len();
+        self.changes.clear();
+        self.changes.resize(size * factor.responses, 0.0);
+        self.gradients.resize(size, 0.0);
+        self.part.resize(size, 0.0);
+        self.rest.resize(ROWS * self.width, 0.0);
+        let mut good: Vec<bool> = suspects.iter().map(|s| s.least > REFINABLE && certain(factor)).collect();
+        for c in 0..factor.responses {
+            self.refine_response(factor, suspects, c, &mut good);
+        }
+        good
+    }
+
+    fn refine_response(
+        &mut self,
+        factor: &Factor,
+        suspects: &mut [Suspect<'_>],
+        c: usize,
+        good: &mut [bool],
+    ) {
+        let (rank, size) = (factor.rank, factor.rank * self.width);
+        let mut before = vec![0.0; self.width];
+        let mut open: Vec<usize> = (0..self.width).filter(|&s| good[s]).collect();
+        // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
+        for &s in &open {
+            let change = &mut self.changes[c * size + s * rank..c * size + (s + 1) * rank];
+            for &row in suspects[s].rows {
+                let e = factor.residual_row(row)[c];
+                change.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
+            }
+            suspects[s].inverse.apply(factor, change);
+            before[s] = dot(change, change);
+        }
+        for _ in 0..8 {
+            if open.is_empty() {
+                return;
+            }
+            self.descend(factor, suspects, c);
+            open.retain(|&s| {
+                let step = &mut self.gradients[s * rank..(s + 1) * rank];
+                suspects[s].inverse.apply(factor, step);
+                let change = &mut self.changes[c * size + s * rank..c * size + (s + 1) * rank];
+                change.iter_mut().zip(&*step).for_each(|(x, d)| *x += d);
+                let (length, whole) = (dot(step, step), dot(change, change));
+                // Squares: the next step would gain as many digits as this one did.
+                let done = length * length <= 1e-24 * whole * before[s];
+                // Each step must gain a digit.
+                good[s] = done || length <= 1e-2 * before[s];
+                before[s] = length;
+                good[s] && !done
+            });
+        }
+        open.iter().for_each(|&s| good[s] = false);
+    }
+
+    /// The gradients `Q_-K^T (e_-K - Q_-K change)` of all pairs, in one pass over the basis.
+    fn descend(&mut self, factor: &Factor, suspects: &[Suspect<'_>], c: usize) {
+        let (rank, width) = (factor.rank, self.width);
+        let changes = &self.changes[c * rank * width..(c + 1) * rank * width];
+        self.gradients.fill(0.0);
+        for (block, basis) in factor.basis.chunks(ROWS * rank).enumerate() {
+            let first = block * ROWS;
+            let rest = &mut self.rest[..basis.len() / rank * width];
+            linalg::rows_product(basis, changes, rank, width, rest);
+            for (i, rest) in rest.chunks_exact_mut(width).enumerate() {
+                let e = factor.residual_row(first + i)[c];
+                rest.iter_mut().for_each(|x| *x = e - *x);
+            }
+            let rows = first..first + basis.len() / rank;
+            for (s, suspect) in suspects.iter().enumerate() {
+                for row in suspect.rows.iter().filter(|row| rows.contains(row)) {
+                    rest[(row - first) * width + s] = 0.0;
                 }
             }
-            let fit = fits.iter().fold(simd.splat_f64s(0.0), |sum, fit| simd.add_f64s(sum, *fit));
-            let tail: f64 = last.iter().zip(last_change).map(|(q, change)| q * change).sum();
-            let rest = self.factor.residual_row(row)[self.response] - simd.reduce_sum_f64s(fit) - tail;
-            let weight = simd.splat_f64s(rest);
-            for (x, q) in sum.iter_mut().zip(q) {
-                *x = simd.mul_add_f64s(*q, weight, *x);
-            }
-            last_sum.iter_mut().zip(last).for_each(|(x, q)| *x += rest * q);
+            linalg::transposed_product(basis, rest, rank, width, &mut self.part);
+            self.gradients.iter_mut().zip(&self.part).for_each(|(sum, part)| *sum += part);
         }
     }
+}
+
+/// Whether what can be refined leaves no doubt of the training rows' rank. Their singular values are at least those of
+/// the design times the square root of lambda_min(M), which is allowed a hundredth of its estimate.
+fn certain(factor: &Factor) -> bool {
+    let bound = factor.least * (REFINABLE / 100.0).sqrt();
+    bound > factor.tolerance * (factor.columns as f64).sqrt()
 }
