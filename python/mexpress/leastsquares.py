@@ -422,8 +422,8 @@ def cross_validate_all(
             check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
     held = concatenate(scheme.held_out for scheme in schemes.values())
     validated = concatenate(scheme.validated for scheme in schemes.values())
-    along = next((s for s in schemes.values() if s.order is not None), None)
-    order = None if along is None else np.concatenate([along.validated[pair] for pair in along.visiting_order])
+    along = next((scheme for scheme in schemes.values() if scheme.order is not None), None)
+    order = None if along is None else _first_validated(along)
     together = model._predict(held, validated, model._coupling, threads, order)
     ends = np.cumsum([len(scheme) for scheme in schemes.values()])
     starts = ends - [len(scheme) for scheme in schemes.values()]
@@ -431,6 +431,12 @@ def cross_validate_all(
         name: model._part(together, first, last)
         for name, first, last in zip(schemes, starts, ends, strict=True)
     }
+
+
+def _first_validated(scheme: Scheme) -> Integers:
+    """A datum of each pair that validates any, in the order of the visits."""
+    pairs = scheme.visiting_order[scheme.validated.sizes[scheme.visiting_order] > 0]
+    return scheme.validated.indices[scheme.validated.offsets[pairs]]
 
 
 def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:
