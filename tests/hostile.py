@@ -178,10 +178,11 @@ NUMBERS = {
     "cross_validate_nested threads": ("threads", 2, lambda x: nested(threads=x)),
     "select_surface max_count": ("max_count", 5, lambda x: select(max_count=x)),
     "select_surface threads": ("threads", 2, lambda x: select(threads=x)),
+    "map_problems workers": ("workers", 2, lambda x: mx.map_problems(pow, [(2, 3), (3, 2)], workers=x)),
     "Cloud n_valid": ("n_valid", 25, lambda x: mx.Cloud(POINTS, TARGET, None, x)),
     "Cloud n_missing": ("n_missing", 3, lambda x: mx.Cloud(POINTS, TARGET, None, N, x)),
 }
-OPTIONAL = {"threads", "max_sets", "from_sets n", "from_splits n"}
+OPTIONAL = {"threads", "workers", "max_sets", "from_sets n", "from_splits n"}
 FROM_ZERO = {"n_missing"}
 
 BAD_COUNTS = [

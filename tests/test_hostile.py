@@ -46,6 +46,7 @@ COVERED = {
     "fit_surface",
     "fit_warp",
     "load",
+    "map_problems",  # test_batch.py
     "read_cloud",  # test_hostile_surfaces.py and test_clouds.py
     "schemes",
     "select_surface",

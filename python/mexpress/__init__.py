@@ -11,6 +11,7 @@ CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
 from importlib.metadata import version
 
 from mexpress import criteria, schemes
+from mexpress.batch import map_problems
 from mexpress.clouds import Cloud, read_cloud
 from mexpress.designs import fit_surface, fit_warp
 from mexpress.files import load
@@ -35,6 +36,7 @@ __all__ = [
     "fit_surface",
     "fit_warp",
     "load",
+    "map_problems",
     "read_cloud",
     "schemes",
     "select_surface",

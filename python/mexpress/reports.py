@@ -17,7 +17,7 @@ from mexpress._validation import Floats
 from mexpress.matches import write_rows
 from mexpress.selection import Selection
 
-__all__ = ["UNITLESS", "summary", "table", "write_curves", "write_summary"]
+__all__ = ["UNITLESS", "summary", "table", "versions", "write_curves", "write_summary"]
 
 UNITLESS = frozenset({"AIC", "BIC"})
 """Criteria without a unit."""
@@ -159,11 +159,7 @@ def summary(selection: Selection) -> dict[str, Any]:
     """
     chosen = selection.curves[selection.criterion][selection.counts == selection.count]
     return {
-        "versions": {
-            "mexpress": version("mexpress"),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
         "criterion": selection.criterion,
         "count": selection.count,
         "score": _plain(float(chosen[0])),
@@ -174,6 +170,21 @@ def summary(selection: Selection) -> dict[str, Any]:
             name: {str(count): data.tolist() for count, data in by_count.items()}
             for name, by_count in selection.undefined.items()
         },
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of mexpress, numpy and Python.
+
+    Examples
+    --------
+    >>> sorted(versions())
+    ['mexpress', 'numpy', 'python']
+    """
+    return {
+        "mexpress": version("mexpress"),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
     }
 
 

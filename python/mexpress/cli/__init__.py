@@ -1,4 +1,4 @@
-"""The command line: `mexpress warp`, `mexpress surface`, `mexpress apply`.
+"""The command line: `mexpress warp`, `mexpress surface`, `mexpress apply`, `mexpress reproduce`.
 
 A command is a function that adds its parser and says what to run; enter another one in `COMMANDS`. Errors of
 the input are one line on standard error and exit status 2.
@@ -14,6 +14,7 @@ from importlib.metadata import version
 
 from mexpress.cli.apply import add_apply
 from mexpress.cli.common import Parser, UsageError
+from mexpress.cli.reproduce import add_reproduce
 from mexpress.cli.surface import add_surface
 from mexpress.cli.warp import add_warp
 
@@ -23,6 +24,7 @@ COMMANDS: tuple[Callable[[argparse._SubParsersAction[Parser]], None], ...] = (
     add_warp,
     add_surface,
     add_apply,
+    add_reproduce,
 )
 
 

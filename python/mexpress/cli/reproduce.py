@@ -1,0 +1,95 @@
+"""`mexpress reproduce`: the paper's tables and figures."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from mexpress import reports
+from mexpress.cli import common
+from mexpress.reproduce import EXPERIMENTS, Experiment, Options
+
+__all__ = ["add_reproduce"]
+
+
+def add_reproduce(commands: argparse._SubParsersAction[common.Parser]) -> None:
+    """Add the command, with a command of its own for each experiment."""
+    parser = commands.add_parser(
+        "reproduce",
+        help="make a table or figure of the paper",
+        description="Make a table or figure of the paper. The output directory gets NAME.json, tables as CSV and "
+        "plots as PNG. A long run that was interrupted continues where it stopped, from the rows that the "
+        "directory holds.",
+    )
+    experiments = parser.add_subparsers(title="experiments", required=True, metavar="NAME")
+    for experiment in EXPERIMENTS.values():
+        _add_experiment(experiments, experiment)
+
+
+def _add_experiment(experiments: argparse._SubParsersAction[common.Parser], experiment: Experiment) -> None:
+    parser = experiments.add_parser(
+        experiment.name, help=experiment.summary, description=f"{experiment.name}: {experiment.summary}."
+    )
+    add = parser.add_argument
+    if experiment.data:
+        without = "" if experiment.required else " (default: what the experiment simulates)"
+        add(
+            "data",
+            metavar=experiment.data,
+            type=Path,
+            nargs=None if experiment.required else "?",
+            help=f"the data{without}",
+        )
+    add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
+    add("--quick", action="store_true", help="a smaller run of the same kind, within two minutes")
+    add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
+    add(
+        "--threads",
+        type=int,
+        metavar="N",
+        help="at most so many cores (default: MEXPRESS_NUM_THREADS, or all)",
+    )
+    add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
+    add("--quiet", action="store_true", help="show no progress")
+    parser.set_defaults(run=lambda arguments: _run(experiment, arguments), data=None)
+
+
+def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
+    options = Options(
+        data=_existing(arguments.data, experiment.data),
+        out=arguments.out,
+        quick=arguments.quick,
+        seed=arguments.seed,
+        threads=arguments.threads,
+        progress=not arguments.quiet,
+        plots=arguments.plots,
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    outcome = experiment.run(options)
+    print(outcome.report)
+    name = f"{experiment.name}.json"
+    command = {"experiment": experiment.name, **_command(options)}
+    summary = {"versions": reports.versions(), "command": command, **outcome.summary}
+    reports.write_summary(options.out / name, summary)
+    print(f"\n{options.out}: {', '.join([name, *outcome.files])}")
+
+
+def _existing(data: Path | None, kind: str) -> Path | None:
+    """Return the data, if they are what the experiment takes: now, so that a wrong name costs no time."""
+    if data is None:
+        return None
+    if not data.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(data))
+    if (kind == "DIR") != data.is_dir():
+        wanted, found = ("a directory", "a file") if kind == "DIR" else ("a file", "a directory")
+        raise common.UsageError(f"{kind} must be {wanted}, but {data} is {found}")
+    return data
+
+
+def _command(options: Options) -> dict[str, Any]:
+    return {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in vars(options).items()
+        if name not in {"progress", "plots"}
+    }

@@ -1,0 +1,251 @@
+"""The surfaces that criteria select, side by side with the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from mexpress._validation import Floats
+from mexpress.plotting.figures import PathLike, frame, new_figure, percentile, saved, with_unit
+from mexpress.plotting.solids import Solid, View, draw_solid
+from mexpress.reproduce.subjects import Subject
+from mexpress.reproduce.surfaces import Fit
+from mexpress.surfaces import Surface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+__all__ = ["plot_fits"]
+
+_COLUMNS = 4
+"""Most panels in a row."""
+
+_WIDTH = 3.6
+"""Of a panel in inches."""
+
+_SAMPLES = 30_000
+"""Of a surface that is shown as an image."""
+
+_STEEP = 0.35
+"""How high a depth map's relief stands when it is shaded: depths span this fraction of the longer side."""
+
+_ALIKE = 0.08
+"""Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
+
+_LINE = 34
+"""Letters in a line of a title."""
+
+_MORE = 0.4
+"""How much higher than its map a panel is, in inches."""
+
+_ZOOM = 1.0
+"""Of surfaces in space, which have no numbers at their axes."""
+
+Group = Sequence[Fit]
+
+
+def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = None) -> Figure:
+    """Plot the surfaces that criteria select, one panel for those that look alike.
+
+    Of surfaces whose numbers of control points differ by less than 8 % the one with the fewest is drawn; the title says
+    what each criterion selects.
+
+    Of depths: the data and the surfaces as maps of the same colours, shaded by a light from the upper left. Of points
+    in space: every surface from the same side, with the data as dots. Below each surface are its residuals, data
+    minus surface or their distance, of the same colours too.
+
+    Parameters
+    ----------
+    subject : Subject
+        The data: depths, or points in space.
+    fits : sequence of Fit
+        What to draw, in that order.
+    path : str or path, optional
+        Where to save the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> from mexpress.reproduce.subjects import simulated_embedding
+    >>> sheet = simulated_embedding(200, seed=0)
+    >>> surface = mx.fit_surface(sheet.points, sheet.values, sheet.points[:9])
+    >>> plot_fits(sheet, [Fit(("CMPRESS", "ER10"), 9, 0.03, 0.02, surface)])
+    <Figure size ...>
+    """
+    groups = _grouped(fits)
+    panels: list[Group | None] = [None, *groups] if subject.dimension == 1 else list(groups)
+    rows = -(-len(panels) // _COLUMNS)
+    columns = -(-len(panels) // rows)
+    wide, high = _extent(subject)
+    height = _WIDTH * float(np.clip(high / wide, 0.3, 2.0))
+    solid = 0 if subject.dimension == 1 else _WIDTH - height
+    figure = new_figure(columns * _WIDTH + 1.2, rows * (2 * (height + _MORE) + solid))
+    scales = _Scales.of(subject, groups)
+    strips = figure.subfigures(rows, 1, squeeze=False)
+    for k, strip in enumerate(strips[:, 0]):
+        _draw_strip(strip, subject, panels[k * columns : (k + 1) * columns], columns, scales)
+    return saved(figure, path)
+
+
+def _extent(subject: Subject) -> tuple[float, float]:
+    wide, high = np.ptp(subject.points, axis=0) if subject.image_size is None else subject.image_size
+    return float(wide), float(high)
+
+
+@dataclass(frozen=True)
+class _Scales:
+    """What all panels have in common."""
+
+    values: tuple[float, float]
+    residual: float
+    view: View | None
+
+    @classmethod
+    def of(cls, subject: Subject, groups: Sequence[Group]) -> Self:
+        # The median, so that a surface far from the data does not hide the differences of the others.
+        sizes = [percentile(np.abs(_residuals(subject, group[0])), 95) for group in groups]
+        view = None if subject.dimension == 1 else _solid(subject, groups[-1][0]).views[0]
+        values = (percentile(subject.values, 4), percentile(subject.values, 96))
+        return cls(values, float(np.median(sizes)) or 1.0, view)
+
+
+def _residuals(subject: Subject, fit: Fit) -> Floats:
+    """Return data minus surface of depths, the distances of points in space."""
+    residuals = subject.values - fit.surface(subject.points)
+    return residuals if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
+
+
+def _solid(subject: Subject, fit: Fit) -> Solid:
+    return Solid.of_points(fit.surface, subject.values, subject.image_size is not None, subject.unit)
+
+
+def _grouped(fits: Sequence[Fit]) -> list[list[Fit]]:
+    groups: list[list[Fit]] = []
+    for fit in sorted(fits, key=lambda fit: fit.count):
+        if groups and fit.count < (1 + _ALIKE) * groups[-1][0].count:
+            groups[-1].append(fit)
+        else:
+            groups.append([fit])
+    return groups
+
+
+def _title(group: Group, unit: str | None) -> str:
+    """Say what each criterion selects, in as many lines as it takes, and how good the surface is that is drawn."""
+    lines = [""]
+    for text in (f"{name} {fit.count}" for fit in group for name in fit.names):
+        longer = f"{lines[-1]}, {text}" if lines[-1] else text
+        if len(longer) > _LINE:
+            lines.append(text)
+        else:
+            lines[-1] = longer
+    drawn = group[0]
+    truth = "" if np.isnan(drawn.truth) else f", true RMS {drawn.truth:.3g}"
+    which = f"with {drawn.count}: " if len(group) > 1 else ""
+    return "\n".join([*lines, f"{which}FIT {drawn.rms:.3g}{truth}" + (f" {unit}" if unit else "")])
+
+
+def _draw_strip(
+    strip: SubFigure, subject: Subject, panels: Sequence[Group | None], columns: int, scales: _Scales
+) -> None:
+    """Draw a row of surfaces above a row of their residuals; no group but None is the panel of the data."""
+    depths = subject.dimension == 1
+    values: dict[str, Any] = {"cmap": "viridis", "vmin": scales.values[0], "vmax": scales.values[1]}
+    residuals: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -scales.residual, "vmax": scales.residual}
+    if not depths:
+        residuals = {"cmap": "viridis", "vmin": 0.0, "vmax": scales.residual}
+    rows = strip.add_gridspec(2, columns, height_ratios=(1, 1) if depths else (1.4, 1))
+    above, below = [], []
+    for k, group in enumerate(panels):
+        look: dict[str, Any] = {} if depths else {"projection": "3d"}
+        above.append(strip.add_subplot(rows[0, k], **look))
+        if group is None:
+            _draw_data(above[-1], subject, values)
+            continue
+        _draw_surface(above[-1], subject, group[0], scales)
+        above[-1].set_title(_title(group, subject.unit), loc="left", fontsize=9)
+        below.append(strip.add_subplot(rows[1, k]))
+        _frame(below[-1], subject)
+        _dots(below[-1], subject, _residuals(subject, group[0]), **residuals)
+    if depths:
+        name = "value" if subject.image_size is None else "depth"
+        _colour_bar(strip, above, name, subject.unit, **values)
+    name = "data minus surface" if depths else "distance"
+    _colour_bar(strip, below, name, subject.unit, **residuals)
+
+
+def _draw_data(axes: Axes, subject: Subject, look: dict[str, Any]) -> None:
+    _frame(axes, subject)
+    _dots(axes, subject, subject.values, **look)
+    axes.set_title(f"{subject.name}\n{len(subject.points)} data", loc="left", fontsize=9)
+
+
+def _draw_surface(axes: Any, subject: Subject, fit: Fit, scales: _Scales) -> None:
+    if scales.view is None:
+        # What is nearer to a camera stands higher.
+        _draw_relief(axes, fit.surface, scales.values, 1.0 if subject.image_size is None else -1.0)
+        _frame(axes, subject)
+        return
+    draw_solid(axes, replace(_solid(subject, fit), labels=("", "", ""), zoom=_ZOOM), scales.view)
+    axes.set(xticklabels=[], yticklabels=[], zticklabels=[])
+
+
+def _colour_bar(strip: SubFigure, axes: list[Any], name: str, unit: str | None, **look: Any) -> None:
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415  an extra, imported where used
+    from matplotlib.colors import Normalize  # noqa: PLC0415
+
+    colours = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])
+    label = with_unit(name, unit)
+    extend = "both" if look["vmin"] else "max"
+    strip.colorbar(colours, ax=axes, label=label, extend=extend, aspect=25, shrink=0.9, pad=0.01)
+
+
+def _frame(axes: Axes, subject: Subject) -> None:
+    """Show the axes without numbers: all panels have the same."""
+    axes.set(xticks=[], yticks=[])
+    frame(axes, subject.points, y_down=subject.image_size is not None)
+
+
+def _dots(axes: Axes, subject: Subject, colours: Floats, **look: Any) -> None:
+    """Draw numbers where the data are, as squares that nearly touch."""
+    wide, high = np.ptp(subject.points, axis=0)
+    area = (72 * _WIDTH) ** 2 * float(min(high / wide, wide / high)) / len(subject.points)
+    x, y = subject.points.T
+    axes.scatter(x, y, c=colours, s=float(np.clip(0.7 * area, 0.5, 40)), marker="s", linewidths=0, **look)
+
+
+def _draw_relief(axes: Axes, surface: Surface, limits: tuple[float, float], sign: float) -> None:
+    from matplotlib import colormaps  # noqa: PLC0415  an extra, imported where used
+
+    low, high = surface.domain.min(axis=0), surface.domain.max(axis=0)
+    step = float(np.sqrt(np.prod(high - low) / _SAMPLES))
+    grid = surface.grid(step=step)
+    span = (limits[1] - limits[0]) or 1.0
+    shades = colormaps["viridis"]((np.nan_to_num(grid.values) - limits[0]) / span)
+    raised = grid.values * (sign * _STEEP * float((high - low).max()) / span)
+    shades[..., :3] = np.clip(shades[..., :3] * _lit(raised, step)[..., None], 0, 1)
+    shades[..., 3] = grid.inside
+    half = step / 2
+    extent = (grid.x[0] - half, grid.x[-1] + half, grid.y[0] - half, grid.y[-1] + half)
+    axes.imshow(shades, extent=extent, origin="lower", interpolation="nearest")
+
+
+def _lit(heights: Floats, step: float) -> Floats:
+    """Return how bright a relief is in the light from the upper left: 1 where it is level or unknown."""
+    down, right = np.gradient(heights, step)
+    normals = np.stack([-right, -down, np.ones_like(heights)], axis=-1)
+    cosine = (normals @ [-0.5, -0.5, 1.0]) / np.linalg.norm(normals, axis=-1)
+    return np.asarray(np.nan_to_num(np.clip(0.4 + 0.6 * cosine, 0.4, 1.4), nan=1.0))

@@ -1,0 +1,23 @@
+"""The paper's tables and figures, each a function that `mexpress reproduce NAME` runs.
+
+Examples
+--------
+>>> from mexpress.reproduce import EXPERIMENTS
+>>> EXPERIMENTS["table1"].data
+''
+"""
+
+from mexpress.reproduce import surfaces, table1, table2
+from mexpress.reproduce.experiment import Experiment, Options, Outcome
+
+__all__ = ["EXPERIMENTS", "Experiment", "Options", "Outcome"]
+
+EXPERIMENTS: dict[str, Experiment] = {
+    experiment.name: experiment
+    for experiment in (
+        *(table1.TABLE1, table1.FIGURE2, table1.FIGURE3),
+        *(table2.TABLE2, table2.FIGURE4, table2.FIGURE5, table2.FIGURE6),
+        *(surfaces.FIGURE7, surfaces.FIGURE8, surfaces.FIGURE9, surfaces.FIGURE10),
+    )
+}
+"""Every experiment by its name, in the paper's order."""

@@ -1,0 +1,107 @@
+"""What every experiment is: a name, what it needs, and a function from options to an outcome.
+
+Examples
+--------
+>>> Experiment("nothing", "prints nothing", "", False, lambda options: Outcome("", {}, [])).name
+'nothing'
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Experiment", "Options", "Outcome"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run is told.
+
+    Parameters
+    ----------
+    data : Path or None
+        File or directory that the reader supplies; None for what the experiment simulates.
+    out : Path
+        Directory for everything that is written; it exists.
+    quick : bool
+        A smaller run of the same kind, within two minutes.
+    seed : int
+        Of everything random.
+    threads : int, optional
+        At most so many cores; MEXPRESS_NUM_THREADS or all of them if None.
+    progress : bool
+        Whether to show progress on the terminal.
+    plots : bool
+        Whether to draw figures.
+
+    Examples
+    --------
+    >>> Options(None, Path("out"), quick=True).seed
+    0
+    """
+
+    data: Path | None
+    out: Path
+    quick: bool = False
+    seed: int = 0
+    threads: int | None = None
+    progress: bool = True
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run found.
+
+    Parameters
+    ----------
+    report : str
+        Text to be printed: tables, our numbers beside the paper's, claims and whether they hold.
+    summary : dict
+        The same as JSON has it: plain numbers, lists and dicts, None for what is undefined.
+    files : list of str
+        Names of what was written into the output directory.
+
+    Examples
+    --------
+    >>> Outcome("nothing found", {}).files
+    []
+    """
+
+    report: str
+    summary: dict[str, Any]
+    files: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One table or figure of the paper.
+
+    Parameters
+    ----------
+    name : str
+        As the command line has it.
+    summary : str
+        One line for its help.
+    data : str
+        What it takes: "DIR", "FILE", or "" for nothing.
+    required : bool
+        Whether it cannot run without.
+    run : callable
+        Makes it.
+
+    Examples
+    --------
+    >>> run = lambda options: Outcome(f"seed {options.seed}", {})
+    >>> Experiment("seed", "says its seed", "", False, run).run(Options(None, Path("."), seed=3)).report
+    'seed 3'
+    """
+
+    name: str
+    summary: str
+    data: str
+    required: bool
+    run: Callable[[Options], Outcome]

@@ -1,0 +1,386 @@
+"""Scenes that two images show, with what is known of the truth: simulated, or the reader's own.
+
+A reader's directory holds a scene, or several, each known by the name of its file of matches:
+
+=====================================  ===============================================================================
+``NAME.csv`` (.txt, .npz, .npy)        matches x1 y1 x2 y2 in pixels, see `mexpress.matches.read_matches`; no wrong ones
+``NAME_source_contour.csv`` (.txt)     optional: closed polygon x y around an object in the source image
+``NAME_target_contour.csv`` (.txt)     the same object's polygon in the target image, corners and their number at will
+``NAME_source_mask.png``               instead of a contour: an image of the source's size, nonzero on the object
+``NAME_target_mask.png``               instead of a contour, of the target's size
+``NAME_source.png``, ``_target.png``   optional: the images, which figures are drawn on (.jpg and .jpeg too)
+``scenes.json``                        optional: ``{"NAME": {"kind": "flat", "image_size": [800, 640],``
+                                       ``"target_size": [800, 640], "homography": [[...], [...], [...]]}}``
+=====================================  ===============================================================================
+
+The kind is flat, rigid or deformable. Sizes are those of the masks or images if not given. The homography maps source
+pixels to target pixels, and is the truth where it is given: it also gives the target's contour if there is no other.
+
+Examples
+--------
+>>> scene = Simulated("flat", "affine")
+>>> scene.name, scene.draw(51, seed=0).source.shape
+('flat-affine', (51, 2))
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _validation as check
+from mexpress import simulation
+from mexpress._validation import Floats
+from mexpress.images import read_image
+from mexpress.matches import read_matches, read_points
+from mexpress.placement import covered_region, lattice
+from mexpress.reproduce.contours import Rings, outlines, resampled
+
+__all__ = ["KINDS", "PROJECTIONS", "SIZES", "Problem", "Recorded", "Scene", "Simulated", "read_scenes"]
+
+KINDS = ("flat", "rigid", "deformable")
+PROJECTIONS = ("affine", "perspective")
+SIZES = (51, 103, 206)
+"""Numbers of matches in the paper's experiment."""
+
+_FEWEST = 15
+"""Matches that a scene must have: NN10PTS and KF10 hold out ten of them, or a tenth."""
+
+_STEP = 2.0
+"""Pixels from one point of a contour to the next, between which a warp is taken to be straight."""
+
+_TRUTH = 2000
+"""Points at which a warp is compared to a homography."""
+
+_TABLES, _TEXTS, _IMAGES = (".csv", ".txt", ".npz", ".npy"), (".csv", ".txt"), (".png", ".jpg", ".jpeg")
+_PARTS = ("_source_contour", "_target_contour", "_source_mask", "_target_mask", "_source", "_target")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Matches to fit a warp to, and what it is judged by.
+
+    Parameters
+    ----------
+    source, target : (n, 2) array
+        Matches, in pixels.
+    unseen_source, unseen_target : (k, 2) array
+        Points that should be mapped to each other, none of them fitted; maybe none.
+    source_contour, target_contour : tuple of (c, 2) arrays
+        Rings of the same region in both images; empty if unknown.
+    image_size : (width, height) or None
+        Of the source image in pixels.
+    target_size : (width, height)
+        Of the target image in pixels.
+
+    Examples
+    --------
+    See the module.
+    """
+
+    source: Floats
+    target: Floats
+    unseen_source: Floats
+    unseen_target: Floats
+    source_contour: Rings
+    target_contour: Rings
+    image_size: tuple[float, float] | None
+    target_size: tuple[float, float]
+
+
+class Scene(Protocol):
+    """What problems are drawn from.
+
+    Examples
+    --------
+    >>> scene: Scene = Simulated("rigid", "perspective")
+    >>> scene.kind, scene.sizes
+    ('rigid', (51, 103, 206))
+    """
+
+    @property
+    def name(self) -> str:
+        """What tables and files call it."""
+
+    @property
+    def kind(self) -> str:
+        """Return flat, rigid, deformable, or nothing if unknown."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of matches to try."""
+
+    def repeats(self, n: int, wanted: int) -> int:
+        """Return how many different draws of n matches to make, at most as many as wanted."""
+
+    def draw(self, n: int, seed: int) -> Problem:
+        """Return a problem with n matches: the same for the same seed."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A sheet in two simulated images, see `mexpress.simulation.scene`: with every seed another one.
+
+    Parameters
+    ----------
+    kind : {"flat", "rigid", "deformable"}
+        What the sheet does.
+    projection : {"affine", "perspective"}
+        What the cameras do.
+
+    Examples
+    --------
+    >>> Simulated("rigid", "affine").draw(51, seed=0).target_contour[0].shape
+    (400, 2)
+    """
+
+    kind: str
+    projection: str
+
+    @property
+    def name(self) -> str:
+        """What tables and files call it."""
+        return f"{self.kind}-{self.projection}"
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of matches to try."""
+        return SIZES
+
+    def repeats(self, n: int, wanted: int) -> int:
+        """Return how many different draws of n matches to make: any number."""
+        return wanted
+
+    def draw(self, n: int, seed: int) -> Problem:
+        """Return a problem with n matches, noise of 1 px on each; the truth is without noise.
+
+        Examples
+        --------
+        >>> Simulated("flat", "perspective").draw(51, seed=3).image_size
+        (1920.0, 1080.0)
+        """
+        views = simulation.scene(self.kind, self.projection, n, seed=seed)
+        contours = (views.contour_source, views.contour_target)
+        first, second = ((ring,) if ring is not None else () for ring in contours)
+        truth = (views.dense_source, views.dense_target, first, second)
+        return Problem(views.source, views.target, *truth, views.image_size, views.image_size)
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A scene of the reader's; see the module for its files, `read_scenes` for reading it.
+
+    Parameters
+    ----------
+    name, kind : str
+        What it is called; flat, rigid, deformable, or nothing if unknown.
+    source, target : (n, 2) array
+        All matches.
+    source_contour, target_contour : tuple of (c, 2) arrays
+        Rings, empty if unknown.
+    image_size : (width, height) or None
+        Of the source image in pixels.
+    target_size : (width, height)
+        Of the target image in pixels.
+    homography : (3, 3) array or None
+        The truth, where it is known.
+    images : tuple of two arrays, or None
+        Source and target image.
+
+    Examples
+    --------
+    >>> points = np.random.default_rng(0).uniform(0, 100, (60, 2))
+    >>> scene = Recorded("still", "flat", points, points, (), (), None, (100, 100))
+    >>> problem = scene.draw(51, seed=0)
+    >>> len(problem.source), len(problem.unseen_source)
+    (51, 9)
+    """
+
+    name: str
+    kind: str
+    source: Floats
+    target: Floats
+    source_contour: Rings
+    target_contour: Rings
+    image_size: tuple[float, float] | None
+    target_size: tuple[float, float]
+    homography: Floats | None = None
+    images: tuple[NDArray[Any], NDArray[Any]] | None = None
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of matches to try: the paper's, as far as there are so many, else all there are."""
+        return tuple(n for n in SIZES if n <= len(self.source)) or (len(self.source),)
+
+    def repeats(self, n: int, wanted: int) -> int:
+        """Return how many different draws of n matches to make: one of all."""
+        return wanted if n < len(self.source) else 1
+
+    def draw(self, n: int, seed: int) -> Problem:
+        """Return a problem with n matches drawn at random; the others are unseen, unless a homography is known.
+
+        Examples
+        --------
+        See the class.
+        """
+        mixed = np.random.default_rng(seed).permutation(len(self.source))
+        seen, rest = np.sort(mixed[:n]), np.sort(mixed[n:])
+        truth = self.source[rest], self.target[rest]
+        if self.homography is not None:
+            inside = lattice(covered_region(self.source, "source"), _TRUTH)
+            truth = inside, _mapped(self.homography, inside)
+        contours = self.source_contour, self.target_contour
+        data = self.source[seen], self.target[seen]
+        return Problem(*data, *truth, *contours, self.image_size, self.target_size)
+
+
+def read_scenes(folder: Path) -> list[Recorded]:
+    """Read all scenes of a directory, whose files this module describes.
+
+    Parameters
+    ----------
+    folder : path
+        The directory.
+
+    Returns
+    -------
+    list of Recorded
+        In the order of their names; one at least.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or if a file does not hold what it should.
+    OSError
+        If a file cannot be read.
+    ImportError
+        If there are masks or images, and scikit-image is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mexpress.matches import write_matches
+    >>> points = np.random.default_rng(0).uniform(0, 100, (60, 2))
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     write_matches(f"{name}/still.csv", points, points)
+    ...     [scene.name for scene in read_scenes(Path(name))]
+    ['still']
+    """
+    if not folder.is_dir():
+        check.refuse("data", "It must be a directory of scenes.", str(folder))
+    declared = _declared(folder / "scenes.json")
+    tables = sorted(path for path in folder.iterdir() if path.suffix.lower() in _TABLES)
+    matches = [path for path in tables if not path.stem.endswith(_PARTS)]
+    if not matches:
+        rule = "The directory must hold files of matches, such as NAME.csv."
+        check.refuse("data", rule, f"{folder}, which has none")
+    names = [path.stem for path in matches]
+    strange = sorted((set(declared) - set(names)) | {name for name in names if names.count(name) > 1})
+    if strange:
+        rule = "Every scene must have one file of matches."
+        check.refuse("data", rule, f"{', '.join(strange)} in {folder}")
+    return [_read(path, declared.get(path.stem, {})) for path in matches]
+
+
+def _declared(path: Path) -> dict[str, Mapping[str, Any]]:
+    """Return what scenes.json tells of the scenes."""
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        check.refuse("data", "scenes.json must be JSON.", f"{path}: {error}")
+    known = {"kind", "image_size", "target_size", "homography"}
+    shaped = isinstance(content, dict) and all(isinstance(told, dict) for told in content.values())
+    if not shaped or any(set(told) - known for told in content.values()):
+        rule = f"scenes.json must hold an object for each scene, with any of {', '.join(sorted(known))}."
+        check.refuse("data", rule, str(path))
+    return dict(content)
+
+
+def _read(path: Path, told: Mapping[str, Any]) -> Recorded:
+    name, kind = path.stem, told.get("kind", "")
+    if kind not in ("", *KINDS):
+        check.refuse("kind", f"It must be one of {', '.join(KINDS)}.", f"{kind!r} for {name}")
+    source, target = read_matches(path)
+    if len(source) < _FEWEST:
+        check.refuse("data", f"A scene must have {_FEWEST} matches at least.", f"{len(source)} in {path}")
+    masks = [_mask(path, side) for side in ("source", "target")]
+    images = [_image(path, f"_{side}") for side in ("source", "target")]
+    homography = _homography(told.get("homography"), name)
+    first, second = (
+        _contour(path, side, mask) for side, mask in zip(("source", "target"), masks, strict=True)
+    )
+    if first and not second and homography is not None:
+        second = tuple(_mapped(homography, ring) for ring in first)
+    if bool(first) != bool(second):
+        check.refuse("data", "A contour must be given in both images.", f"{name} with one of them")
+    size, target_size = (
+        _size(told.get(key), mask, image)
+        for key, mask, image in zip(("image_size", "target_size"), masks, images, strict=True)
+    )
+    if target_size is None:
+        shown = np.vstack([target, *second])
+        target_size = (float(shown[:, 0].max()) + 1, float(shown[:, 1].max()) + 1)
+    pair = (images[0], images[1]) if images[0] is not None and images[1] is not None else None
+    return Recorded(name, kind, source, target, first, second, size, target_size, homography, pair)
+
+
+def _beside(path: Path, part: str, endings: tuple[str, ...]) -> Path | None:
+    """Return the file beside a scene's matches that holds a part of it."""
+    found = (path.with_name(path.stem + part + ending) for ending in endings)
+    return next((other for other in found if other.exists()), None)
+
+
+def _image(path: Path, part: str) -> NDArray[Any] | None:
+    found = _beside(path, part, _IMAGES)
+    return None if found is None else read_image(found)
+
+
+def _mask(path: Path, side: str) -> NDArray[np.bool_] | None:
+    image = _image(path, f"_{side}_mask")
+    if image is None:
+        return None
+    if image.ndim == 3:
+        image = image[..., : 3 if image.shape[2] > 2 else 1].max(axis=2)  # not what is opaque
+    return np.asarray(image != 0, dtype=np.bool_)
+
+
+def _contour(path: Path, side: str, mask: NDArray[np.bool_] | None) -> Rings:
+    """Return the rings of a contour or of a mask; none if there is neither."""
+    found = _beside(path, f"_{side}_contour", _TEXTS)
+    if found is not None:
+        return (resampled(read_points(found), _STEP),)
+    rings = () if mask is None else outlines(mask)
+    if mask is not None and not rings:
+        check.refuse("mask", "It must be nonzero somewhere.", f"the {side} mask of {path.stem}")
+    return rings
+
+
+def _homography(value: Any, name: str) -> Floats | None:
+    if value is None:
+        return None
+    matrix = check.matrix(value, "homography")
+    if matrix.shape != (3, 3) or np.linalg.matrix_rank(matrix) < 3:
+        check.refuse("homography", "It must be an invertible (3, 3) matrix.", f"{value} for {name}")
+    return matrix
+
+
+def _size(
+    told: Any, mask: NDArray[np.bool_] | None, image: NDArray[Any] | None
+) -> tuple[float, float] | None:
+    shown = mask if mask is not None else image
+    if told is not None or shown is None:
+        return check.image_size(told)
+    return float(shown.shape[1]), float(shown.shape[0])
+
+
+def _mapped(homography: Floats, points: Floats) -> Floats:
+    lifted = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(lifted[:, :2] / lifted[:, 2:])

@@ -1,0 +1,300 @@
+"""Figures 7 to 10: surfaces with more and more control points, and those that the criteria select.
+
+Figure 7 shows the criteria against the number of control points, and the control points in the order in which they
+come, of a depth map; figure 8 the surface that each criterion selects. Figures 9 and 10 are the same for an embedding,
+a map from a flat sheet into space. The reader's file may be either, for each of the four: `mexpress.clouds.read_cloud`
+says what it may be. Without a file the data are simulated; then the truth is known, which no criterion sees.
+
+Examples
+--------
+>>> FIGURE7.name, FIGURE10.data
+('figure7', 'FILE')
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mexpress import reports
+from mexpress._validation import Floats
+from mexpress.designs import fit_surface
+from mexpress.liftings import nested_basis
+from mexpress.reproduce.experiment import Experiment, Options, Outcome
+from mexpress.reproduce.subjects import Subject, read_subject, simulated_depth, simulated_embedding
+from mexpress.selection import SurfaceSelection, select_surface
+from mexpress.surfaces import Surface
+
+__all__ = ["CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10", "Fit", "true_errors"]
+
+CRITERIA = (
+    *("FIT", "AIC", "BIC", "GCV", "CMPRESS", "KF10", "ER01", "ER05", "ER10"),
+    *("NN01PCT", "NN05PCT", "NN10PCT", "DELAUNAY"),
+)
+
+CRITERION = "ER10"
+"""Whose choice the plots stress: the paper's advice."""
+
+TRUTH = "TRUTH"
+"""The name in tables and plots of what no criterion sees."""
+
+_UNITLESS = {"AIC", "BIC"}
+
+_SIZES = {"depth": (10_000, 2000), "embedding": (1000, 300)}
+"""Data by kind of subject, in a full run and in a quick one; of a file at most so many as of a depth map."""
+
+_COUNTS = (175, 100)
+"""The largest number of control points, in a full run and in a quick one."""
+
+_IMAGES = "The numbers of an image are divided by 1000: metres if they are millimetres.\n"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The surface that some criteria select.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The criteria.
+    count : int
+        Their number of control points.
+    rms : float
+        Root mean square residual, in the unit of the values.
+    truth : float
+        Root mean square error; NaN if the truth is not known.
+    surface : Surface
+        The surface.
+
+    Examples
+    --------
+    >>> Fit(("ER10",), 3, 0.1, float("nan"), fit_surface([[0, 0], [1, 0], [0, 1]], [1, 2, 3], [[0, 0], [1, 0], [0, 1]]))
+    Fit(names=('ER10',), count=3, rms=0.1, truth=nan, surface=Surface(1 value, 3 control points))
+    """
+
+    names: tuple[str, ...]
+    count: int
+    rms: float
+    truth: float
+    surface: Surface
+
+
+def true_errors(subject: Subject, control_points: Floats) -> Floats:
+    """Return the root mean square errors of a subject's surfaces with 3, 4, ... of the control points.
+
+    The models are nested, so one factorisation gives the coefficients of all.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is fitted.
+    control_points : (l, 2) array
+        In the order in which they come.
+
+    Returns
+    -------
+    ndarray, (l - 2,)
+        In the unit of the values, the norm of their d; NaN without a truth.
+
+    Examples
+    --------
+    >>> from mexpress.reproduce.subjects import simulated_embedding
+    >>> sheet = simulated_embedding(200, seed=0)
+    >>> true_errors(sheet, sheet.points[:6]).shape
+    (4,)
+    """
+    where = subject.true_points
+    if not len(where):
+        return np.full(len(control_points) - 2, np.nan)
+    truth = subject.true_values.reshape(len(where), -1)
+    orthonormal, triangle = np.linalg.qr(nested_basis(subject.points, control_points))
+    coefficients = orthonormal.T @ subject.values.reshape(len(subject.values), -1)
+    total = np.zeros(len(control_points))
+    for some in np.array_split(np.arange(len(where)), 1 + len(where) // 4000):
+        # Columns that are orthonormal over the data: a model of l control points has the first l of them.
+        columns = np.linalg.solve(triangle.T, nested_basis(where[some], control_points).T)
+        for output in range(truth.shape[1]):
+            predicted = np.cumsum(columns * coefficients[:, output, None], axis=0)
+            total += ((predicted - truth[some, output]) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(total[2:] / len(where)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sweep:
+    """Criteria and truth for every number of control points."""
+
+    subject: Subject
+    selection: SurfaceSelection
+    truth: Floats
+
+    @property
+    def shown(self) -> SurfaceSelection:
+        """The criteria with the truth beside them, if it is known."""
+        if np.isnan(self.truth).all():
+            return self.selection
+        return replace(self.selection, curves={**self.selection.curves, TRUTH: self.truth})
+
+    def at(self, count: int) -> tuple[float, float]:
+        """FIT and true error."""
+        k = int(count - self.selection.counts[0])
+        return float(self.selection.curves["FIT"][k]), float(self.truth[k])
+
+    def fits(self) -> list[Fit]:
+        """The selected surfaces, those with the fewest control points first."""
+        by_count: dict[int, list[str]] = {}
+        for name, count in self.shown.selected.items():
+            if count is not None:
+                by_count.setdefault(count, []).append(name)
+        data = self.subject.points, self.subject.values
+        return [
+            Fit(
+                tuple(names),
+                count,
+                *self.at(count),
+                fit_surface(*data, self.selection.control_points[:count]),
+            )
+            for count, names in sorted(by_count.items())
+        ]
+
+
+def _sweep(kind: str, options: Options) -> _Sweep:
+    full, quick = _SIZES["depth" if options.data else kind]
+    number = quick if options.quick else full
+    if options.data is not None:
+        subject = read_subject(options.data, number, options.seed)
+    else:
+        simulated = simulated_depth if kind == "depth" else simulated_embedding
+        subject = simulated(number, options.seed)
+    selection = select_surface(
+        subject.points,
+        subject.values,
+        "FIT",
+        CRITERIA,
+        max_count=_COUNTS[options.quick],
+        seed=options.seed,
+        threads=options.threads,
+        progress=options.progress,
+    )
+    return _Sweep(subject, _stressed(selection), true_errors(subject, selection.control_points))
+
+
+def _stressed(selection: SurfaceSelection) -> SurfaceSelection:
+    """Let the paper's criterion select, unless it is undefined everywhere."""
+    count = selection.selected[CRITERION]
+    if count is None:
+        return selection
+    surface = fit_surface(selection.points, selection.values, selection.control_points[:count])
+    return replace(selection, criterion=CRITERION, surface=surface)
+
+
+def _run(name: str, kind: str, draw: Callable[[str, _Sweep, Path], list[str]], options: Options) -> Outcome:
+    sweep = _sweep(kind, options)
+    reports.write_curves(options.out / f"{name}.csv", sweep.shown)
+    files = [f"{name}.csv"]
+    if options.plots:
+        files += draw(name, sweep, options.out)
+    return Outcome(_report(sweep, options.data), _summary(sweep), files)
+
+
+def _draw_arrival(name: str, sweep: _Sweep, out: Path) -> list[str]:
+    from mexpress import plotting  # noqa: PLC0415  an extra
+
+    subject, files = sweep.subject, [f"{name}_curves.png", f"{name}_control_points.png"]
+    plotting.plot_selection(sweep.shown, out / files[0], unit=subject.unit)
+    plotting.plot_control_points(
+        sweep.selection, out / files[1], image_size=subject.image_size, unit=subject.unit
+    )
+    return files
+
+
+def _draw_fits(name: str, sweep: _Sweep, out: Path) -> list[str]:
+    from mexpress.plotting.panels import plot_fits  # noqa: PLC0415  an extra
+
+    if sweep.subject.dimension not in (1, 3):
+        return []
+    plot_fits(sweep.subject, sweep.fits(), out / f"{name}.png")
+    return [f"{name}.png"]
+
+
+def _report(sweep: _Sweep, data: Path | None) -> str:
+    subject, selection, known = sweep.subject, sweep.selection, not np.isnan(sweep.truth).all()
+    kind = "depths" if subject.dimension == 1 else f"points in R^{subject.dimension}"
+    unit = subject.unit or "the unit of the data"
+    lines = [
+        f"{subject.name}: {len(subject.points)} {kind}, surfaces with {selection.counts[0]} to "
+        f"{selection.counts[-1]} control points; errors in {unit}",
+        "",
+        f"{'criterion':>10}{'points':>8}{'its score':>11}{'FIT':>10}" + ("{:>11}".format("true RMS") * known),
+    ]
+    for name, count in sweep.shown.selected.items():
+        lines.append(_line(sweep, name, count, known))
+    notes = f"{TRUTH}: the number that is in truth best; no criterion knows it.\n" if known else ""
+    if data is not None and subject.image_size is not None and data.suffix.lower() not in {".npy", ".npz"}:
+        notes += _IMAGES
+    if subject.dimension not in (1, 3):
+        notes += f"Points in R^{subject.dimension} cannot be drawn: only their criteria are.\n"
+    return "\n".join([*lines, "", notes + _lost(selection)]).rstrip()
+
+
+def _line(sweep: _Sweep, name: str, count: int | None, known: bool) -> str:
+    if count is None:
+        return f"{name:>10}{'-':>8}  undefined at every number"
+    fit, truth = sweep.at(count)
+    score = sweep.shown.curves[name][count - sweep.selection.counts[0]]
+    own = "" if name in _UNITLESS else f"{score:.4g}"
+    return f"{name:>10}{count:8}{own:>11}{fit:10.4g}" + (f"{truth:11.4g}" if known else "")
+
+
+def _lost(selection: SurfaceSelection) -> str:
+    """Return where criteria are undefined."""
+    lines = [
+        f"{name} is undefined from {min(by_count)} control points on, for up to "
+        f"{max(len(data) for data in by_count.values())} data."
+        for name, by_count in selection.undefined.items()
+    ]
+    return "\n".join(lines)
+
+
+def _summary(sweep: _Sweep) -> dict[str, Any]:
+    subject, selection = sweep.subject, sweep.selection
+    return {
+        "subject": subject.name,
+        "n_data": len(subject.points),
+        "dimension": subject.dimension,
+        "unit": subject.unit,
+        "image_size": subject.image_size,
+        "largest_count": int(selection.counts[-1]),
+        "choices": {name: _choice(sweep, count) for name, count in sweep.shown.selected.items()},
+        "undefined": {
+            name: {"from": min(by_count), "data": max(len(data) for data in by_count.values())}
+            for name, by_count in selection.undefined.items()
+        },
+        "control_points": selection.control_points.tolist(),
+    }
+
+
+def _choice(sweep: _Sweep, count: int | None) -> Mapping[str, float | None]:
+    if count is None:
+        return {"count": None, "FIT": None, "true_rms": None}
+    fit, truth = sweep.at(count)
+    return {"count": count, "FIT": fit, "true_rms": None if math.isnan(truth) else truth}
+
+
+def _figure(
+    number: int, summary: str, kind: str, draw: Callable[[str, _Sweep, Path], list[str]]
+) -> Experiment:
+    name = f"figure{number}"
+    return Experiment(name, summary, "FILE", False, lambda options: _run(name, kind, draw, options))
+
+
+FIGURE7 = _figure(7, "criteria and control points of surfaces fitted to a depth map", "depth", _draw_arrival)
+FIGURE8 = _figure(8, "the surface that each criterion selects for a depth map", "depth", _draw_fits)
+FIGURE9 = _figure(
+    9, "criteria and control points of surfaces fitted to an embedding", "embedding", _draw_arrival
+)
+FIGURE10 = _figure(10, "the surface that each criterion selects for an embedding", "embedding", _draw_fits)

@@ -1,0 +1,262 @@
+"""Table 1 and figures 2 and 3: what every criterion selects on 450 simulated pairs of images of bent sheets.
+
+All three read the same rows, one for each configuration, number of correspondences and number of control points, in
+``table1-curves.csv`` of the output directory; whichever is made first computes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import liftings, simulation
+from mexpress.batch import map_problems
+from mexpress.matches import write_rows
+from mexpress.plotting import reproduction as plotting
+from mexpress.reproduce.claims import claims
+from mexpress.reproduce.experiment import Experiment, Options, Outcome
+from mexpress.reproduce.paper import CRITERIA, SIZES, Cell
+from mexpress.reproduce.records import Records
+from mexpress.reproduce.selections import Comparison, Curves, compared, table
+from mexpress.selection import WarpSelection, largest_count, select_warp
+from mexpress.simulation import Configuration, Correspondences
+
+__all__ = ["FIGURE2", "FIGURE3", "TABLE1", "measure"]
+
+_CURVES = "table1-curves.csv"
+_NAMES = ("FIT", *CRITERIA, "TEST")
+_KEY: dict[str, type[int]] = {"source": int, "target": int, "view": int, "n": int}
+
+_QUICK = {15: (7, 1), 30: (11, 1), 150: (31, 4), 500: (59, 8)}
+"""By number of correspondences: a quick run takes every so many configurations, and numbers of control points."""
+
+Task = tuple[Configuration, int]
+Row = tuple[float, ...]
+
+
+def measure(configuration: Configuration, n: int, stride: int = 1, seed: int = 0) -> list[Row]:
+    """Measure every criterion on one simulated pair of images.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Which sheets and views.
+    n : int
+        Number of correspondences.
+    stride : int, default 1
+        Every so many numbers of control points, from three to the largest.
+    seed : int, default 0
+        Of the simulation and of what is random in the selection.
+
+    Returns
+    -------
+    list of tuples
+        A row for each number of control points: source, target, view, n, the number, FIT, the 13 criteria and TEST
+        in pixels.
+
+    Examples
+    --------
+    >>> rows = measure(Configuration(0, 1, 0), 15)
+    >>> [int(row[4]) for row in rows]
+    [3, 4, 5, 6, 7]
+    """
+    matches = simulation.correspondences(configuration, n, seed=seed)
+    selection = select_warp(
+        matches.source,
+        matches.target,
+        criterion="FIT",
+        criteria=CRITERIA,
+        counts=_counts(n, stride),
+        image_size=matches.image_size,
+        seed=seed,
+        threads=1,
+    )
+    test = _test_errors(selection, matches)
+    place = (configuration.source, configuration.target, configuration.view, n)
+    names = _NAMES[:-1]
+    return [
+        (*place, int(count), *(float(selection.curves[name][k]) for name in names), test[k])
+        for k, count in enumerate(selection.counts)
+    ]
+
+
+def _counts(n: int, stride: int) -> range:
+    return range(3, largest_count(n) + 1, stride)
+
+
+def _test_errors(selection: WarpSelection, matches: Correspondences) -> list[float]:
+    """TEST: the root mean square of the algebraic transfer error all over the sheet, in pixels, for every count."""
+    errors = []
+    for count in selection.counts:
+        warp = selection.warps.get(int(count))
+        if warp is None:
+            errors.append(math.nan)
+            continue
+        values = liftings.evaluate(warp.lifting, matches.dense_source, warp.parameters)
+        error = matches.dense_target * values[:, 2:] - values[:, :2]
+        errors.append(float(np.sqrt((error**2).sum(axis=1).mean())))
+    return errors
+
+
+def _tasks(quick: bool) -> list[Task]:
+    """Return configurations one after the other, the costly numbers of correspondences first in each."""
+    every = simulation.configurations()
+    strides = {n: stride for n, (stride, _) in _QUICK.items()} if quick else dict.fromkeys(SIZES, 1)
+    return [
+        (configuration, n)
+        for k, configuration in enumerate(every)
+        for n in sorted(SIZES, reverse=True)
+        if k % strides[n] == 0
+    ]
+
+
+def _computed(options: Options) -> dict[int, Curves]:
+    """Compute what the directory lacks, and return the curves by number of correspondences."""
+    run = {"experiment": "table1", "seed": options.seed, "quick": options.quick}
+    columns = {**_KEY, "count": int, **dict.fromkeys(_NAMES, float)}
+    strides = {n: stride if options.quick else 1 for n, (_, stride) in _QUICK.items()}
+    with Records(options.out / _CURVES, run, columns, len(_KEY)) as records:
+        todo = [
+            (configuration, n, strides[n])
+            for configuration, n in _tasks(options.quick)
+            if (configuration.source, configuration.target, configuration.view, n) not in records
+        ]
+        map_problems(
+            measure,
+            todo,
+            workers=options.threads,
+            progress=options.progress,
+            on_result=lambda _, rows: records.add(rows),
+            seed=options.seed,
+        )
+        return _curves(records.table())
+
+
+def _curves(rows: Mapping[str, NDArray[Any]]) -> dict[int, Curves]:
+    """Sort rows, a problem's after each other, into curves."""
+    curves = {}
+    for n in SIZES:
+        here = rows["n"] == n
+        counts = np.unique(rows["count"][here])
+        values = {name: rows[name][here].reshape(-1, len(counts)) for name in _NAMES}
+        curves[n] = Curves(counts, values)
+    return curves
+
+
+def _table1(options: Options) -> Outcome:
+    curves = _computed(options)
+    comparisons, judged, agreement = compared(curves), claims(curves), {}
+    for what, of in (("all", comparisons), ("the 13 criteria", [c for c in comparisons if c.name != "TEST"])):
+        within = [within for c in of for within in c.within if within is not None]
+        agreement[what] = {"cells": len(within), "within": sum(within)}
+    with (options.out / "table1.csv").open("w", encoding="utf-8", newline="\n") as file:
+        write_rows(file, _CELL_COLUMNS, map(_cell_row, comparisons))
+    lines = [
+        _described(curves),
+        "mean ± standard deviation; ! our mean is not within the paper's standard deviation of its mean\n",
+        table(comparisons),
+        "",
+        *(
+            f"{found['within']} of {found['cells']} cells of {what} are within one standard deviation."
+            for what, found in agreement.items()
+        ),
+        "\nThe paper's claims:",
+        *(f"* {claim.text}" for claim in judged),
+    ]
+    summary = {
+        "problems": _problems(curves),
+        "cells": [_cell_summary(comparison) for comparison in comparisons],
+        "agreement": agreement,
+        "claims": [asdict(claim) for claim in judged],
+    }
+    return Outcome("\n".join(lines), summary, [_CURVES, "table1.csv"])
+
+
+_CELL_COLUMNS = (
+    *("n", "criterion"),
+    *(f"{who}{what}" for who in ("", "paper_") for what in ("count", "count_std", "fit", "fit_std")),
+    *("count_within", "fit_within"),
+)
+
+
+def _cell_row(comparison: Comparison) -> tuple[object, ...]:
+    within = ("" if agrees is None else int(agrees) for agrees in comparison.within)
+    return (comparison.n, comparison.name, *astuple(comparison.ours), *astuple(comparison.paper), *within)
+
+
+def _cell_summary(comparison: Comparison) -> dict[str, Any]:
+    def plain(cell: Cell) -> dict[str, float | None]:
+        return {name: None if math.isnan(value) else value for name, value in asdict(cell).items()}
+
+    return {
+        "criterion": comparison.name,
+        "n": comparison.n,
+        "ours": plain(comparison.ours),
+        "paper": plain(comparison.paper),
+        "within": comparison.within,
+    }
+
+
+def _problems(curves: Mapping[int, Curves]) -> dict[str, int]:
+    return {str(n): len(of.values["FIT"]) for n, of in curves.items()}
+
+
+def _described(curves: Mapping[int, Curves]) -> str:
+    numbers = ", ".join(f"{number} of n = {n}" for n, number in _problems(curves).items())
+    return f"Simulated pairs of images: {numbers} correspondences with noise of 1 pixel."
+
+
+def _figure2(options: Options) -> Outcome:
+    curves = _computed(options)
+    lines = [_described(curves), "Every criterion's mean curve has its minimum at so many control points:\n"]
+    lowest = {
+        name: {str(n): int(of.counts[np.nanargmin(of.mean(name)[0])]) for n, of in curves.items()}
+        for name in _NAMES
+    }
+    lines += ["".join(["        ", *(f"{f'n = {n}':>9}" for n in curves)])]
+    lines += ["".join([f"{name:8}", *(f"{count:9}" for count in of.values())]) for name, of in lowest.items()]
+    drawn = _drawn(options, "figure2.png", lambda path: plotting.plot_mean_curves(curves, path))
+    summary = {"problems": _problems(curves), "lowest_mean": lowest}
+    return Outcome("\n".join(lines), summary, [_CURVES, *drawn])
+
+
+def _figure3(options: Options) -> Outcome:
+    curves = _computed(options)
+    comparisons = compared(curves)
+    drawn = _drawn(options, "figure3.png", lambda path: plotting.plot_selections(comparisons, path))
+    summary = {"problems": _problems(curves), "cells": [_cell_summary(c) for c in comparisons]}
+    return Outcome(f"{_described(curves)}\n\n{table(comparisons)}", summary, [_CURVES, *drawn])
+
+
+def _drawn(options: Options, name: str, draw: Callable[[Path], object]) -> list[str]:
+    if not options.plots:
+        return []
+    draw(options.out / name)
+    return [name]
+
+
+_ON_SHEETS = "on 450 simulated pairs of bent sheets"
+
+TABLE1 = Experiment(
+    "table1",
+    f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table",
+    "",
+    False,
+    _table1,
+)
+FIGURE2 = Experiment(
+    "figure2", f"mean curves of the criteria {_ON_SHEETS}; needs no time after table1", "", False, _figure2
+)
+FIGURE3 = Experiment(
+    "figure3",
+    f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1",
+    "",
+    False,
+    _figure3,
+)

@@ -1,0 +1,149 @@
+"""A problem's warps with more and more control points: every criterion, and how well each warp transfers the rest.
+
+Examples
+--------
+>>> from mexpress.reproduce.scenes import Simulated
+>>> judged = trial(Simulated("flat", "perspective").draw(51, seed=0), True, range(3, 8), criteria=["ER10"])
+>>> bool(judged.jaccard[0] > 0.99), bool(judged.transfer[0] < 2)
+(True, True)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mexpress._validation import Floats
+from mexpress.placement import lattice
+from mexpress.reproduce.contours import Mask, jaccard, rasterised, transferred
+from mexpress.reproduce.scenes import Problem
+from mexpress.selection import WarpSelection, select_warp
+from mexpress.warps import Warp
+
+__all__ = ["CRITERIA", "MEASURES", "Trial", "trial"]
+
+CRITERIA = (
+    *("FIT", "PRESS", "CMPRESS", "KF10", "KF05", "ER01", "ER05", "ER10"),
+    *("NN02PTS", "NN05PTS", "NN10PTS", "NN01PCT", "NN05PCT", "NN10PCT"),
+)
+"""Of the paper's tables."""
+
+MEASURES = ("JACCARD", "TRANSFER", "FOLDED", "VANISHING")
+"""What a `Trial` adds to the criteria, under the names that files have."""
+
+_SAMPLES = 1000
+"""Points of the region of the matches where a warp may fold or vanish."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Criteria by number of control points, beside what they do not see; NaN where unknown.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was fitted.
+    selection : WarpSelection
+        The warps and the criteria, for k numbers of control points.
+    jaccard : (k,) array
+        Jaccard index of the transferred contour; 0 where the denominator vanishes on it.
+    transfer : (k,) array
+        Root mean square distance, in pixels, of unseen points from where they should be mapped to; infinite where
+        the denominator vanishes at one.
+    folded, vanishing : (k,) array
+        Share of the region of the matches where the warp folds, and where its denominator vanishes.
+
+    Examples
+    --------
+    See the module.
+    """
+
+    problem: Problem
+    selection: WarpSelection
+    jaccard: Floats
+    transfer: Floats
+    folded: Floats
+    vanishing: Floats
+
+    def measures(self) -> dict[str, Floats]:
+        """Return the arrays by the names in `MEASURES`.
+
+        Examples
+        --------
+        >>> from mexpress.reproduce.scenes import Simulated
+        >>> problem = Simulated("flat", "affine").draw(51, seed=0)
+        >>> list(trial(problem, False, [3], criteria=["FIT"]).measures())
+        ['JACCARD', 'TRANSFER', 'FOLDED', 'VANISHING']
+        """
+        arrays = (self.jaccard, self.transfer, self.folded, self.vanishing)
+        return dict(zip(MEASURES, arrays, strict=True))
+
+
+def trial(
+    problem: Problem,
+    fractional: bool,
+    counts: Iterable[int],
+    criteria: Sequence[str] = CRITERIA,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> Trial:
+    """Fit a warp with every number of control points, and judge it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Matches and truth.
+    fractional : bool
+        Whether the warp models perspective.
+    counts : iterable of int
+        Numbers of control points.
+    criteria : sequence of str
+        Which to compute; FIT is added.
+    seed, threads, progress
+        As `mexpress.select_warp` has them.
+
+    Returns
+    -------
+    Trial
+        FIT selects, so that no other criterion must be defined.
+
+    Examples
+    --------
+    See the module.
+    """
+    selection = select_warp(
+        problem.source,
+        problem.target,
+        "FIT",
+        criteria,
+        fractional=fractional,
+        counts=list(counts),
+        image_size=problem.image_size,
+        seed=seed,
+        threads=threads,
+        progress=progress,
+    )
+    warps = [selection.warps.get(int(count)) for count in selection.counts]
+    truth = rasterised(problem.target_contour, problem.target_size) if problem.target_contour else None
+    rows = [_judged(warp, problem, truth) if warp else (math.nan,) * len(MEASURES) for warp in warps]
+    return Trial(problem, selection, *np.array(rows).T)
+
+
+def _judged(warp: Warp, problem: Problem, truth: Mask | None) -> tuple[float, ...]:
+    """Return the measures of a warp."""
+    overlap, error = math.nan, math.nan
+    if truth is not None:
+        rings = transferred(warp, problem.source_contour)
+        overlap = 0.0 if rings is None else jaccard(truth, rings, problem.target_size)
+    if len(problem.unseen_source):
+        with np.errstate(invalid="ignore", over="ignore"):
+            squared = ((warp(problem.unseen_source) - problem.unseen_target) ** 2).sum(axis=1)
+            error = float(np.sqrt(np.where(np.isnan(squared), np.inf, squared).mean()))
+    inside = lattice(warp.domain, _SAMPLES)
+    vanishes = warp.vanishes(inside)
+    folds = warp.folds(inside) & ~vanishes
+    return overlap, error, float(folds.mean()), float(vanishes.mean())

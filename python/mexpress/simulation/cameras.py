@@ -1,0 +1,212 @@
+"""Cameras that see a whole sheet.
+
+See `Camera`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+
+if TYPE_CHECKING:
+    from mexpress.simulation.sheets import Sheet
+
+__all__ = ["Camera"]
+
+IMAGE_SIZE = (1920.0, 1080.0)
+"""Width and height in pixels."""
+
+SENSOR = 35.0
+"""Width of the sensor in millimetres."""
+
+FOCAL = (20.0, 50.0)
+"""Focal lengths in millimetres."""
+
+TILT = np.radians([60, 0])
+"""Largest angle between the optical axis and the sheet's mean normal."""
+
+ROLL = np.radians(15)
+"""Largest angle of the sheet in the image."""
+
+FILL = 1.0
+"""Share of the image's width or height that the sheet takes, whichever it takes more of."""
+
+GRAZING = 0.2
+"""Least cosine between the sheet's normals and the rays that see it."""
+
+DRAWS = 100
+"""Random poses that are tried, ever nearer to the frontal one."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera:
+    """A pinhole camera of 1920 x 1080 pixels, with its principal point in the middle.
+
+    Parameters
+    ----------
+    focal : float
+        Focal length in millimetres, with a sensor 35 mm wide.
+    rotation : array_like, (3, 3)
+    translation : array_like, (3,)
+        A point X of space is at rotation X + translation from the camera: x right, y down, z ahead.
+    affine : bool, default False
+        Whether every point is projected as if it were as far as the origin of space (weak perspective).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape is wrong, the rotation is not one, or the origin of space is not ahead.
+
+    Examples
+    --------
+    >>> from mexpress.simulation import Camera
+    >>> camera = Camera(35.0, np.eye(3), [0.0, 0.0, 2.0])
+    >>> camera([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    array([[ 960.,  540.], [1440.,  540.]])
+    """
+
+    focal: float
+    rotation: Floats
+    translation: Floats
+    affine: bool = False
+
+    def __post_init__(self) -> None:
+        rotation = check.matrix(self.rotation, "rotation").copy()
+        if rotation.shape != (3, 3) or not is_rotation(rotation):
+            check.refuse("rotation", "It must be a rotation, (3, 3).", check.describe(self.rotation))
+        translation = check.columns(self.translation, "translation", 3).copy()
+        if translation.shape != (3,) or translation[2] <= 0:
+            rule = "It must be three numbers, the last one above 0."
+            check.refuse("translation", rule, check.describe(self.translation))
+        for name, array in (("rotation", rotation), ("translation", translation)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "focal", check.positive(self.focal, "focal"))
+        check.flag(self.affine, "affine")
+
+    def __repr__(self) -> str:
+        kind = "weak perspective, " if self.affine else ""
+        return f"Camera({kind}{self.focal:.3g} mm, {self.translation[2]:.3g} away)"
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Images of points.
+
+        Parameters
+        ----------
+        points : array_like, (k, 3)
+            Ahead of the camera.
+
+        Returns
+        -------
+        ndarray, (k, 2)
+            In pixels, x right and y down from the image's corner.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a point is not ahead of the camera.
+        """
+        seen = check.points(points, "points", 3) @ self.rotation.T + self.translation
+        depth = np.broadcast_to(self.translation[2:] if self.affine else seen[:, 2:], (len(seen), 1))
+        if (depth <= 0).any():
+            check.refuse("points", "They must be ahead of the camera.", f"a depth of {depth.min():g}")
+        return np.asarray(pixels(self.focal) * seen[:, :2] / depth + 0.5 * np.array(IMAGE_SIZE))
+
+    def enlargement(self, points: Floats, normals: Floats) -> Floats:
+        """Square pixels of image for a unit of area of a surface at points (k, 3) with normals (k, 3), (k,)."""
+        if self.affine:
+            return np.asarray((pixels(self.focal) / self.translation[2]) ** 2 * (normals @ self.rotation[2]))
+        seen = points @ self.rotation.T + self.translation
+        towards = ((normals @ self.rotation.T) * seen).sum(axis=1)
+        return np.asarray(pixels(self.focal) ** 2 * towards / seen[:, 2] ** 3)
+
+    def rays(self, points: Floats) -> Floats:
+        """Unit directions in space in which the camera sees points (k, 3), (k, 3)."""
+        if self.affine:
+            return np.broadcast_to(self.rotation[2], points.shape)
+        seen = points + self.rotation.T @ self.translation
+        return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
+
+
+def is_rotation(matrix: Floats) -> bool:
+    """Whether a matrix (3, 3) is one."""
+    return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0)
+
+
+def pixels(focal: float) -> float:
+    """Focal length in pixels from one in millimetres."""
+    return focal * IMAGE_SIZE[0] / SENSOR
+
+
+def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False) -> Camera:
+    """The nearest camera of this direction that has all of a sheet in view, and it in the middle."""
+    seen = sheet.samples[0] @ rotation.T
+    depth = np.zeros(len(seen)) if affine else seen[:, 2]
+    centres, distances = [], []
+    for axis in range(2):
+        # x + t <= slope (z + d) and -(x + t) <= slope (z + d) for all points.
+        slope = FILL * IMAGE_SIZE[axis] / 2 / pixels(focal)
+        high = (seen[:, axis] - slope * depth).max()
+        low = (-seen[:, axis] - slope * depth).max()
+        centres.append((low - high) / 2)
+        distances.append((low + high) / 2 / slope)
+    return Camera(focal, rotation, np.array([*centres, max(distances)]), affine)
+
+
+def facing(sheet: Sheet, camera: Camera) -> float:
+    """Least cosine between the sheet's normals and the rays that see it."""
+    points, normals = sheet.samples
+    return float((normals * camera.rays(points)).sum(axis=1).min())
+
+
+def visible(sheet: Sheet, camera: Camera) -> bool:
+    """Whether the camera sees all of the sheet, nowhere grazing.
+
+    A map that is one-to-one near every point of a disk, and on the disk's border, is one-to-one.
+    """
+    return facing(sheet, camera) > GRAZING and is_simple(camera(sheet(sheet.border())))
+
+
+def is_simple(polygon: Floats) -> bool:
+    """Whether the sides of a closed polygon (k, 2) meet nowhere but at their common ends."""
+    start, along = polygon, np.roll(polygon, -1, axis=0) - polygon
+
+    def side(points: Floats) -> Floats:
+        """On which side of every line (rows) points (columns) are."""
+        offset = points[None] - start[:, None]
+        return np.sign(along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0])
+
+    starts, ends = side(start), side(start + along)
+    apart = starts * ends
+    crossing = (apart < 0) & (apart.T < 0)
+    return not bool(crossing.any())
+
+
+def random_camera(sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False) -> Camera:
+    """A camera that sees the whole sheet from a random direction; from the front, if it has to be."""
+    for share in np.sqrt(np.linspace(1, 0, DRAWS)):
+        camera = look(sheet, _random_rotation(rng, share), focal, affine)
+        if visible(sheet, camera):
+            break
+    return camera
+
+
+def _random_rotation(rng: np.random.Generator, share: float) -> Floats:
+    """Tilt about any axis in the image, after a roll; both up to a share of their largest."""
+    tilt = np.arccos(rng.uniform(*np.cos(share * TILT)))
+    roll, axis = share * rng.uniform(-ROLL, ROLL), rng.uniform(0, 2 * np.pi)
+    turned = _about_z(axis)
+    cosine, sine = np.cos(tilt), np.sin(tilt)
+    about_x = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    return np.asarray(turned @ about_x @ turned.T @ _about_z(roll))
+
+
+def _about_z(angle: float) -> Floats:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])

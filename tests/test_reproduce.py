@@ -1,0 +1,512 @@
+"""Table 1, figures 2 and 3: the machinery, and the paper's claims on a quick run."""
+
+import csv
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import refused
+from matplotlib.image import imread
+
+import mexpress as mx
+from mexpress import simulation
+from mexpress.cli import main
+from mexpress.plotting.reproduction import plot_mean_curves, plot_selections
+from mexpress.reproduce import EXPERIMENTS, Experiment, Options, Outcome, table1
+from mexpress.reproduce.claims import claims
+from mexpress.reproduce.paper import CRITERIA, PUBLISHED, SIZES, Cell
+from mexpress.reproduce.records import Records
+from mexpress.reproduce.selections import Comparison, Curves, compared, table
+
+COLUMNS = {"n": int, "name": str, "count": int, "FIT": float}
+RUN = {"experiment": "trial", "seed": 0, "quick": False}
+TASKS = {
+    (30, "b"): [(30, "b", 3, 1 / 3), (30, "b", 4, math.nan)],
+    (15, 'a, "quoted"'): [(15, 'a, "quoted"', 3, 1e-300)],
+    (15, "a"): [(15, "a", 3, -math.inf), (15, "a", 4, 2.0), (15, "a", 5, 0.1 + 0.2)],
+}
+
+
+def opened(path, run=RUN, columns=COLUMNS, key=2):
+    return Records(path, run, columns, key)
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "rows.csv"
+    with opened(path) as records:
+        for rows in TASKS.values():
+            records.add(rows)
+    return path
+
+
+# ------------------------------------------------------------------------------------------------------ records
+
+
+def test_records_return_what_was_added_in_the_order_of_the_keys(path):
+    with opened(path) as records:
+        assert len(records) == 3
+        assert all(key in records for key in TASKS)
+        assert (15, "b") not in records
+        found = records.table()
+    rows = [row for key in sorted(TASKS) for row in TASKS[key]]
+    for k, (name, kind) in enumerate(COLUMNS.items()):
+        assert found[name].dtype.kind == {int: "i", str: "U", float: "f"}[kind]
+        assert [*map(repr, found[name].tolist())] == [repr(row[k]) for row in rows]  # bit for bit, and NaN
+
+
+def test_records_are_a_table_that_others_read(path):
+    with path.open() as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    assert [row["name"] for row in rows] == ["a"] * 3 + ['a, "quoted"'] + ["b"] * 2
+    assert [float(row["FIT"]) for row in rows[:3]] == [-math.inf, 2.0, 0.1 + 0.2]
+
+
+def test_records_do_not_depend_on_the_order_they_came_in(path, tmp_path):
+    other = tmp_path / "other.csv"
+    with opened(other) as records:
+        for key in sorted(TASKS, reverse=True):
+            records.add([tuple(np.array([cell])[0] for cell in row) for row in TASKS[key]])  # numpy's types
+    assert other.read_bytes() == path.read_bytes()
+
+
+def test_rows_are_in_the_file_as_soon_as_they_are_added(tmp_path):
+    path = tmp_path / "rows.csv"
+    records = opened(path)
+    records.add(TASKS[(30, "b")])
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(path.read_bytes())
+    with opened(copy) as after:
+        assert (30, "b") in after
+    records.close()
+
+
+def test_records_torn_at_any_byte_keep_the_tasks_that_are_complete(path):
+    whole = path.read_bytes()
+    ends = [whole.index(line) + len(line) for line in (b",0.30000000000000004,3\n", b"e-300,1\n", b"nan,2\n")]
+    assert ends[-1] == len(whole)
+    for cut in range(len(whole)):
+        path.write_bytes(whole[:cut])
+        with opened(path) as records:
+            kept = [key for key in sorted(TASKS) if key in records]
+            assert kept == sorted(TASKS)[: sum(end <= cut for end in ends)]
+            for key in TASKS.keys() - set(kept):
+                records.add(TASKS[key])
+        assert path.read_bytes() == whole
+
+
+def test_a_task_that_came_twice_counts_once(path):
+    *head, first, second, third, _, _, _ = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*head, first, second, third, first, second, third]))
+    with opened(path) as records:
+        assert len(records) == 1
+        assert len(records.table()["n"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"run": {**RUN, "seed": 1}}, r"another run \(seed 0, not 1\)"),
+        ({"run": {**RUN, "quick": True}}, r"another run \(quick False, not True\)"),
+        ({"run": {"experiment": "trial", "seed": 0}}, r"another run \(quick False, not None\)"),
+        ({"columns": {**COLUMNS, "more": int}}, "whose columns are others"),
+    ],
+)
+def test_records_of_another_run_are_not_mixed(path, options, said):
+    before = path.read_bytes()
+    text = refused(lambda: opened(path, **options), "out", ValueError)
+    assert re.search(said, text), text
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"x,y\n1,2\n",
+        b"\xff\xfe\x00",
+        b"# mexpress records: [1]\nn\n",
+        b"# mexpress records: {\nn\n",
+    ],
+)
+def test_what_is_no_file_of_records_is_not_touched(path, content):
+    path.write_bytes(content)
+    refused(lambda: opened(path), "out", ValueError)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("line", ["15,a,3,half,3", "15,a,3", "x,a,3,0.5,1", "15,a,3,0.5,many", "\0" * 9])
+def test_a_damaged_line_is_told(path, line):
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:3], line, *lines[4:], ""]))
+    assert "line 4 is damaged" in refused(lambda: opened(path), "out", ValueError)
+
+
+@pytest.mark.parametrize(
+    "rows", [[], [(15, "c", 3)], [(15, "c", 3, 1.0), (30, "c", 3, 1.0)], [(15, "c", 3, 1.0, 2)]]
+)
+def test_rows_that_are_no_task_are_refused(path, rows):
+    with opened(path) as records:
+        refused(lambda: records.add(rows), "rows", ValueError)
+        assert len(records) == 3
+
+
+# ---------------------------------------------------------------------------------------- the paper's numbers
+
+
+def test_the_paper_s_table_is_whole():
+    assert list(PUBLISHED) == ["TEST", *CRITERIA]
+    assert len(CRITERIA) == 13
+    assert all(list(cells) == list(SIZES) for cells in PUBLISHED.values())
+    missing = [(name, n) for name, cells in PUBLISHED.items() for n in SIZES if math.isnan(cells[n].count)]
+    assert missing == [("NN10PTS", 15), ("NN10PTS", 30)]
+    assert PUBLISHED["TEST"][15] == Cell(5.5, 1.3, 42.5, 28.4)
+    assert PUBLISHED["ER05"][500] == Cell(75.0, 12.8, 2.7, 0.9)
+    assert PUBLISHED["NN10PCT"][150] == Cell(10.8, 3.3, 34.0, 17.9)
+    # Sums over the columns, as a check of every digit.
+    known = [cell for cells in PUBLISHED.values() for cell in cells.values() if not math.isnan(cell.count)]
+    assert sum(cell.count for cell in known) == pytest.approx(1667.4)
+    assert sum(cell.fit for cell in known) == pytest.approx(1344.0)
+    assert sum(cell.count_std for cell in known) == pytest.approx(249.1)
+    assert sum(cell.fit_std for cell in known) == pytest.approx(755.5)
+
+
+# ------------------------------------------------------------------------------------------------- selections
+
+
+def test_cells_are_means_and_deviations_of_what_is_selected():
+    rng = np.random.default_rng(0)
+    counts = np.arange(3, 9)
+    values = {
+        "FIT": rng.uniform(1, 9, (20, 6)),
+        "ER10": rng.uniform(1, 9, (20, 6)),
+        "NN": np.full((20, 6), np.nan),
+    }
+    values["ER10"][4] = np.nan  # a problem without a score
+    values["ER10"][7, :3] = np.nan
+    curves = Curves(counts, values)
+    expected = [
+        (counts[int(np.nanargmin(score))], fit[int(np.nanargmin(score))])
+        for score, fit in zip(values["ER10"], values["FIT"], strict=True)
+        if not np.isnan(score).all()
+    ]
+    (count, fit), cell = np.transpose(expected), curves.cell("ER10")
+    assert len(count) == 19
+    assert cell == Cell(count.mean(), count.std(), fit.mean(), fit.std())
+    assert math.isnan(curves.cell("NN").count)
+    mean, deviation = curves.mean("ER10")
+    np.testing.assert_allclose(mean, np.nanmean(values["ER10"], axis=0), rtol=1e-12)
+    np.testing.assert_allclose(deviation, np.nanstd(values["ER10"], axis=0), rtol=1e-12)
+    assert np.isnan(curves.mean("NN")).all()
+    values["ER10"][:11, 0] = np.nan  # of more than half
+    assert np.isnan(curves.mean("ER10")[0]).tolist() == [True] + [False] * 5
+
+
+@pytest.mark.parametrize(
+    ("count", "fit", "within"),
+    [
+        (23.9, 14.9, (True, True)),
+        (31.5, 8.1, (True, True)),
+        (31.7, 7.9, (False, False)),
+        (16.1, 21.9, (False, False)),
+    ],
+)
+def test_within_means_one_standard_deviation_of_the_paper(count, fit, within):
+    paper = PUBLISHED["ER10"][500]  # 23.9 ± 7.7, 14.9 ± 6.9
+    comparison = Comparison("ER10", 500, Cell(count, 1.0, fit, 1.0), paper)
+    assert comparison.within == within
+    assert table([comparison]).count("!") == 2 - sum(within)
+
+
+def synthetic(counts_of):
+    """Curves of which each criterion selects a given number, FIT falling."""
+    curves = {}
+    for n in SIZES:
+        counts = np.arange(3, mx.selection.largest_count(n) + 1)
+        fit = 100.0 / counts[None] + np.zeros((2, 1))
+        values = {
+            name: (counts - np.round(cells[n].count if name in CRITERIA else 5)) ** 2.0 + np.ones((2, 1))
+            for name, cells in counts_of.items()
+        }
+        curves[n] = Curves(counts, values | {"FIT": fit})
+    return curves
+
+
+def paper_like(**other):
+    """The paper's cells, NaN as three, some changed."""
+    cells = {
+        name: {n: Cell(3.0, 0, 0, 0) if math.isnan(c.count) else c for n, c in of.items()}
+        for name, of in PUBLISHED.items()
+    }
+    for name, numbers in other.items():
+        cells[name] = {n: Cell(number, 0, 0, 0) for n, number in zip(SIZES, numbers, strict=True)}
+    return synthetic(cells)
+
+
+def test_the_paper_s_own_numbers_hold_every_claim():
+    judged = claims(paper_like())
+    assert [claim.holds for claim in judged] == [True] * 5
+    assert all(claim.text.startswith("holds: ") for claim in judged)
+
+
+@pytest.mark.parametrize(
+    ("which", "other"),
+    [
+        (0, {"PRESS": (5, 10, 46, 40), "CMPRESS": (5, 10, 46, 40)}),
+        (0, {"CMPRESS": (5, 10, 30, 97)}),
+        (1, {"KF10": (5, 10, 50, 100)}),
+        (1, {"KF05": (3, 4, 10, 20)}),
+        (2, {"ER10": (4, 8, 17, 60)}),
+        (2, {"ER05": (5, 9, 35, 95)}),
+        (3, {"NN05PTS": (5, 10, 24, 83)}),
+        (3, {"NN02PTS": (4, 8, 24, 60)}),
+    ],
+)
+def test_a_claim_can_fail(which, other):
+    assert not claims(paper_like(**other))[which].holds
+
+
+def test_a_fit_with_a_minimum_is_told():
+    curves = paper_like()
+    curves[150].values["FIT"][:, 40:] = 9.0
+    judged = claims(curves)[4]
+    assert not judged.holds
+    assert judged.text.startswith("does NOT hold: FIT alone")
+
+
+# ---------------------------------------------------------------------------------------------------- measuring
+
+
+def test_one_problem_is_measured_as_its_definition_says():
+    configuration = simulation.Configuration(2, 5, 3)
+    rows = table1.measure(configuration, 30, stride=4, seed=7)
+    matches = simulation.correspondences(configuration, 30, seed=7)
+    names = ["FIT", *CRITERIA]
+    selection = mx.select_warp(
+        matches.source, matches.target, "FIT", names, counts=[3, 7, 11, 15], image_size=(1920, 1080), seed=7
+    )
+    assert [row[:5] for row in rows] == [(2, 5, 3, 30, count) for count in (3, 7, 11, 15)]
+    for k, name in enumerate(names):
+        np.testing.assert_allclose([row[5 + k] for row in rows], selection.curves[name], rtol=1e-9)
+    for row, warp in zip(rows, selection.warps.values(), strict=True):
+        # The algebraic error is the transfer error times the denominator.
+        away = warp(matches.dense_source) - matches.dense_target
+        error = np.hypot(*away.T) * warp.denominator(matches.dense_source)
+        assert row[-1] == pytest.approx(np.sqrt((error**2).mean()), rel=1e-9)
+
+
+def test_a_full_run_has_the_paper_s_1800_problems():
+    tasks = table1._tasks(False)
+    assert len(tasks) == len(set(tasks)) == 1800
+    assert {n for _, n in tasks} == set(SIZES)
+    quick = table1._tasks(True)
+    assert set(quick) < set(tasks)
+    for n in SIZES:
+        sheets = {sheet for c, size in quick for sheet in (c.source, c.target) if size == n}
+        assert len(sheets) >= (8 if n == 500 else 10)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """A directory with the quick run of table 1, and what was printed."""
+    out = tmp_path_factory.mktemp("table1")
+    done = subprocess.run(
+        [sys.executable, "-m", "mexpress", "reproduce", "table1", "--quick", "--out", out],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    (out / "printed.txt").write_text(done.stdout)
+    return out
+
+
+def summary(out, name="table1"):
+    return json.loads((out / f"{name}.json").read_text())
+
+
+def test_the_paper_s_claims_hold_on_a_quick_run(out):
+    found = summary(out)
+    print((out / "printed.txt").read_text())
+    assert [claim["claim"] for claim in found["claims"] if not claim["holds"]] == []
+    assert len(found["claims"]) == 5
+
+
+def test_most_cells_of_a_quick_run_agree_with_the_paper(out):
+    found = summary(out)["agreement"]
+    assert found["all"]["cells"] == 108
+    assert found["the 13 criteria"]["cells"] == 100
+    assert found["the 13 criteria"]["within"] >= 70
+
+
+def test_files_and_text_tell_the_same(out):
+    found, printed = summary(out), (out / "printed.txt").read_text()
+    with (out / "table1.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(found["cells"]) == 56
+    for row, cell in zip(rows, found["cells"], strict=True):
+        assert (row["criterion"], int(row["n"])) == (cell["criterion"], cell["n"])
+        assert float(row["count"]) == cell["ours"]["count"]
+        assert float(row["fit_std"]) == cell["ours"]["fit_std"]
+        assert row["count_within"] == ("" if cell["within"][0] is None else str(int(cell["within"][0])))
+        assert f"{cell['ours']['count']:.1f} ± {cell['ours']['count_std']:.1f}" in printed
+    assert found["command"] == {
+        "experiment": "table1",
+        "data": None,
+        "out": str(out),
+        "quick": True,
+        "seed": 0,
+        "threads": None,
+    }
+    assert found["versions"]["mexpress"] == mx.__version__
+    assert f"{found['agreement']['all']['within']} of 108 cells" in printed
+
+
+def test_a_quick_run_says_what_its_rows_say(out):
+    with (out / "table1-curves.csv").open() as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    chosen = {}
+    for row in rows:
+        if row["n"] == "150":
+            chosen.setdefault((row["source"], row["target"], row["view"]), []).append(row)
+    best = [min(of, key=lambda row: float(row["ER10"])) for of in chosen.values()]
+    (cell,) = (c for c in summary(out)["cells"] if (c["criterion"], c["n"]) == ("ER10", 150))
+    assert len(chosen) == summary(out)["problems"]["150"]
+    assert cell["ours"]["count"] == pytest.approx(np.mean([int(row["count"]) for row in best]), rel=1e-12)
+    assert cell["ours"]["fit"] == pytest.approx(np.mean([float(row["FIT"]) for row in best]), rel=1e-12)
+
+
+def test_figures_only_draw_what_table1_computed(out, monkeypatch, capsys):
+    monkeypatch.setattr(table1, "measure", lambda *_, **__: pytest.fail("measured again"))
+    monkeypatch.setenv("MEXPRESS_NUM_THREADS", "1")  # or it would be pickled
+    before = (out / "table1-curves.csv").read_bytes()
+    for name in ("figure2", "figure3"):
+        assert main(["reproduce", name, "--quick", "--quiet", "--out", str(out)]) == 0
+        assert f"{name}.png" in capsys.readouterr().out
+        image = imread(out / f"{name}.png")
+        assert image.shape[1] > 1000
+        assert image[..., :3].std() > 0.02
+    assert (out / "table1-curves.csv").read_bytes() == before
+    lowest = summary(out, "figure2")["lowest_mean"]
+    assert lowest["FIT"] == {"15": 7, "30": 15, "150": 75, "500": 99}
+    assert lowest["ER10"]["500"] < lowest["CMPRESS"]["500"]
+
+
+def test_an_interrupted_run_continues(out, tmp_path, monkeypatch):
+    whole = (out / "table1-curves.csv").read_bytes()
+    lines = whole.splitlines(keepends=True)
+    kept = [line for line in lines if line.split(b",")[3:4] != [b"15"] or line.startswith(b"0,")]
+    (tmp_path / "table1-curves.csv").write_bytes(b"".join(kept) + b"9,8,4,15,3,0.1")
+    measured = []
+
+    def record(*task, seed):
+        measured.append(task)
+        return table1_measure(*task, seed=seed)
+
+    table1_measure = table1.measure
+    monkeypatch.setattr(table1, "measure", record)
+    options = Options(None, tmp_path, quick=True, threads=1, progress=False, plots=False)
+    outcome = EXPERIMENTS["table1"].run(options)
+    assert {n for _, n, _ in measured} == {15}
+    assert all(configuration.source > 0 for configuration, _, _ in measured)
+    assert (tmp_path / "table1-curves.csv").read_bytes() == whole
+    assert outcome.report + "\n" == (out / "printed.txt").read_text().split(f"\n{out}")[0]
+
+
+def test_a_run_of_another_kind_in_the_same_directory_is_refused(out, capsys):
+    for option in (["--seed", "1", "--quick"], []):
+        assert main(["reproduce", "figure2", "--out", str(out), *option]) == 2
+        assert "which is of another run" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------------ figures
+
+
+def test_mean_curves_are_drawn_where_they_are():
+    curves = paper_like()
+    figure = plot_mean_curves(curves)
+    assert len(figure.axes) == 16
+    row = figure.axes[12:]  # of n = 500
+    drawn = {line.get_label(): line for axes in row for line in axes.lines if line.get_label()[0] != "_"}
+    assert set(drawn) == {"FIT", "TEST", *CRITERIA}
+    np.testing.assert_array_equal(drawn["ER10"].get_ydata(), curves[500].mean("ER10")[0])
+    dots = [line.get_xdata() for line in row[1].lines if line.get_marker() == "o"]
+    assert [24] in [list(np.ravel(x)) for x in dots]
+
+
+def test_selections_are_drawn_beside_the_paper_s():
+    figure = plot_selections(compared(paper_like()))
+    assert len(figure.axes) == 8
+    ours, paper = (container.lines[0].get_xdata() for container in figure.axes[3].containers)
+    np.testing.assert_allclose(paper, [cells[500].count for cells in PUBLISHED.values()])
+    np.testing.assert_allclose(ours[1:], np.round(paper[1:]))
+
+
+# ------------------------------------------------------------------------------------------------- command line
+
+
+def test_every_experiment_has_its_own_help(capsys):
+    assert list(EXPERIMENTS)[:3] == ["table1", "figure2", "figure3"]
+    for name, experiment in EXPERIMENTS.items():
+        assert name == experiment.name
+        with pytest.raises(SystemExit) as ended:
+            main(["reproduce", name, "--help"])
+        assert ended.value.code == 0
+        assert "--quick" in capsys.readouterr().out
+
+
+@pytest.fixture
+def trial(monkeypatch):
+    """An experiment that remembers its options."""
+    seen = []
+
+    def run(options):
+        seen.append(options)
+        return Outcome("a report", {"answer": 42}, ["rows.csv"])
+
+    experiments = {
+        name: Experiment(name, "tries", data, required, run)
+        for name, data, required in (("plain", "", False), ("dir", "DIR", False), ("file", "FILE", True))
+    }
+    monkeypatch.setattr("mexpress.cli.reproduce.EXPERIMENTS", experiments)
+    return seen
+
+
+def test_the_command_hands_on_its_options(trial, tmp_path, capsys):
+    out = tmp_path / "made" / "here"
+    options = ["--out", str(out), "--seed", "5", "--threads", "3", "--quiet", "--no-plots"]
+    assert main(["reproduce", "dir", str(tmp_path), *options]) == 0
+    assert trial == [Options(tmp_path, out, False, 5, 3, False, False)]
+    assert capsys.readouterr().out == f"a report\n\n{out}: dir.json, rows.csv\n"
+    written = json.loads((out / "dir.json").read_text())
+    assert written["answer"] == 42
+    assert written["command"]["data"] == str(tmp_path)
+    assert main(["reproduce", "dir", "--out", str(out), "--quick"]) == 0
+    assert trial[1] == Options(None, out, quick=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nothing", "--out", "x"], "invalid choice"),
+        (["plain"], "--out"),
+        (["plain", "data", "--out", "x"], "unrecognized"),
+        (["file", "--out", "x"], "FILE"),
+        (["file", "absent.npy", "--out", "x"], "absent.npy: No such file"),
+        (["file", ".", "--out", "x"], "FILE must be a file, but . is a directory"),
+        (["dir", __file__, "--out", "x"], "DIR must be a directory"),
+    ],
+)
+def test_wrong_arguments_are_one_line(trial, arguments, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", *arguments]) == 2
+    errors = capsys.readouterr().err
+    assert said in errors
+    assert errors.count("\n") == 1
+    assert not Path("x").exists()
+    assert trial == []
