@@ -372,7 +372,7 @@ class LeastSquares:
         threads: int | None,
         order: Integers | None = None,
     ) -> CrossValidation:
-        """Residuals of all pairs, not yet scored; sooner if an order of the data is known that keeps neighbours together."""
+        """Residuals of all pairs, not yet scored; an order of the data that keeps neighbours together saves time."""
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(

@@ -116,11 +116,11 @@ class _Scales:
 
     @classmethod
     def of(cls, subject: Subject, groups: Sequence[Group]) -> Self:
-        # The median, so that a surface far from the data does not hide the differences of the others.
-        sizes = [percentile(np.abs(_residuals(subject, group[0])), 95) for group in groups]
+        # Of the surface nearest to the data: one far from them would hide the differences of the others.
+        size = 1.5 * percentile(np.abs(_residuals(subject, groups[-1][-1])), 95)
         view = None if subject.dimension == 1 else _solid(subject, groups[-1][0]).views[0]
         values = (percentile(subject.values, 4), percentile(subject.values, 96))
-        return cls(values, float(np.median(sizes)) or 1.0, view)
+        return cls(values, size or 1.0, view)
 
 
 def _residuals(subject: Subject, fit: Fit) -> Floats:

@@ -73,8 +73,9 @@ class Fit:
 
     Examples
     --------
-    >>> Fit(("ER10",), 3, 0.1, float("nan"), fit_surface([[0, 0], [1, 0], [0, 1]], [1, 2, 3], [[0, 0], [1, 0], [0, 1]]))
-    Fit(names=('ER10',), count=3, rms=0.1, truth=nan, surface=Surface(1 value, 3 control points))
+    >>> corners = [[0, 0], [1, 0], [0, 1]]
+    >>> Fit(("ER10",), 3, 0.0, float("nan"), fit_surface(corners, [1, 2, 3], corners))
+    Fit(names=('ER10',), count=3, rms=0.0, truth=nan, surface=Surface(depth, 3 control points))
     """
 
     names: tuple[str, ...]
