@@ -28,16 +28,13 @@ SENSOR = 35.0
 FOCAL = (20.0, 50.0)
 """Focal lengths in millimetres."""
 
-TILT = np.radians([60, 0])
-"""Largest angle between the optical axis and the sheet's mean normal."""
+TILT = (1.0, 0.5)
+"""Largest and least angle in radians between the optical axis and the sheet's mean normal."""
 
-ROLL = np.radians(15)
-"""Largest angle of the sheet in the image."""
+ROLL = 0.1
+"""Largest angle in radians by which the sheet is turned in the image."""
 
-FILL = 1.0
-"""Share of the image's width or height that the sheet takes, whichever it takes more of."""
-
-GRAZING = 0.2
+GRAZING = 0.15
 """Least cosine between the sheet's normals and the rays that see it."""
 
 DRAWS = 100
@@ -151,7 +148,7 @@ def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False) -> 
     centres, distances = [], []
     for axis in range(2):
         # x + t <= slope (z + d) and -(x + t) <= slope (z + d) for all points.
-        slope = FILL * IMAGE_SIZE[axis] / 2 / pixels(focal)
+        slope = IMAGE_SIZE[axis] / 2 / pixels(focal)
         high = (seen[:, axis] - slope * depth).max()
         low = (-seen[:, axis] - slope * depth).max()
         centres.append((low - high) / 2)
@@ -198,8 +195,8 @@ def random_camera(sheet: Sheet, focal: float, rng: np.random.Generator, affine: 
 
 
 def _random_rotation(rng: np.random.Generator, share: float) -> Floats:
-    """Tilt about any axis in the image, after a roll; both up to a share of their largest."""
-    tilt = np.arccos(rng.uniform(*np.cos(share * TILT)))
+    """Tilt about any axis in the image, after a roll; both a share of what they may be."""
+    tilt = np.arccos(rng.uniform(*np.cos(share * np.array(TILT))))
     roll, axis = share * rng.uniform(-ROLL, ROLL), rng.uniform(0, 2 * np.pi)
     turned = _about_z(axis)
     cosine, sine = np.cos(tilt), np.sin(tilt)

@@ -26,21 +26,21 @@ WIDTH, HEIGHT = 1.6, 0.9
 """Of every sheet; the shape of the camera's image."""
 
 RULINGS = 400
-"""So many that a facet is flat to less than a hundredth of a pixel."""
+"""So many that a facet is flat to less than a tenth of a pixel."""
 
-BEND = (0.8, 2.2)
-"""Least and greatest bending of a sheet in radians: how far its normal swings in all."""
+BEND = (2.2, 2.4)
+"""Least and greatest bending in radians that a set starts with: how far a sheet's normal swings in all."""
 
 WAVES = 5
-"""How many half waves along the sheet the bending has at most."""
+"""The shortest of the normal's waves has so many halves along the width."""
 
-DECAY = 1.0
-"""Amplitudes of the normal's waves fall as this power of their number."""
+DECAY = -0.5
+"""Amplitudes of the normal's waves fall as this power of their number: they rise."""
 
-SKEW = 0.25
-"""Standard deviation of the waves of the logarithm of the rulings' spacing, on either edge."""
+SKEW = 0.1
+"""Amplitude of the waves of the logarithm of the rulings' spacing, on either edge."""
 
-MARGIN = 0.3
+MARGIN = 0.18
 """Least cosine between normals and rays in the frontal view that each sheet has to have."""
 
 
@@ -72,8 +72,8 @@ class Sheet:
     >>> from mexpress.simulation import Sheet
     >>> folded = Sheet([0.0], [0.0], [np.pi / 2], width=2.0, height=1.0)
     >>> left, middle, right = folded([[-1, 0], [0, 0], [1, 0]])
-    >>> float(np.linalg.norm(left - middle)), round(float(np.linalg.norm(left - right)), 6)
-    (1.0, 1.414214)
+    >>> [round(float(np.linalg.norm(left - point)), 6) for point in (middle, right)]
+    [1.0, 1.414214]
     """
 
     lower: Floats
@@ -124,6 +124,12 @@ class Sheet:
         ------
         ValueError, TypeError
             If a point is not on the sheet.
+
+        Examples
+        --------
+        >>> from mexpress.simulation import Sheet
+        >>> Sheet([0.0], [0.0], [0.0])([[0.5, 0.25]]).round(6) + 0.0
+        array([[0.5 , 0.25, 0.  ]])
         """
         where = self._on_sheet(points)
         rotations, offsets = self._placed
@@ -141,6 +147,17 @@ class Sheet:
         Returns
         -------
         ndarray, (k, 3)
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a point is not on the sheet.
+
+        Examples
+        --------
+        >>> from mexpress.simulation import Sheet
+        >>> Sheet([0.0], [0.0], [0.0]).normals([[0.5, 0.25]]).round(6) + 0.0
+        array([[0., 0., 1.]])
         """
         rotations, _ = self._placed
         return rotations[self.strips(self._on_sheet(points))][:, :, 2]
@@ -157,6 +174,12 @@ class Sheet:
         -------
         ndarray, (columns * rows, 2)
             Row after row.
+
+        Examples
+        --------
+        >>> from mexpress.simulation import Sheet
+        >>> Sheet([0.0], [0.0], [0.0], width=2, height=1).grid(2, 1)
+        array([[-0.5,  0. ], [ 0.5,  0. ]])
         """
         columns, rows = check.count(columns, "columns", 1), check.count(rows, "rows", 1)
         x = (np.arange(columns) + 0.5) / columns - 0.5
@@ -175,6 +198,12 @@ class Sheet:
         -------
         ndarray, (4 * count, 2)
             The first is a corner, and is not repeated at the end.
+
+        Examples
+        --------
+        >>> from mexpress.simulation import Sheet
+        >>> Sheet([0.0], [0.0], [0.0], width=2, height=1).border(1)
+        array([[-1. , -0.5], [ 1. , -0.5], [ 1. ,  0.5], [-1. ,  0.5]])
         """
         count = check.count(count, "count", 1)
         corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (self.width, self.height)
@@ -271,7 +300,7 @@ def sheets(seed: int = 0) -> tuple[Sheet, ...]:
     Returns
     -------
     tuple of Sheet
-        Ten of 1.6 x 0.9. The first are bent least.
+        Ten of 1.6 x 0.9.
 
     Raises
     ------
@@ -313,7 +342,7 @@ def _random_sheet(rng: np.random.Generator, bend: float) -> Sheet:
     strips = flat.strips(flat.border())
     # Bending where the sheet is, not in the corners of the box.
     time = (np.arange(RULINGS + 1) - strips.min()) / np.ptp(strips)
-    normal = _waves(rng, np.clip(time, 0, 1), WAVES, DECAY)
+    normal = _waves(rng, np.clip(time, 0, 1) * 2 * half / WIDTH, WAVES, DECAY)
     return Sheet(lower, upper, np.diff(normal) * bend / np.ptp(normal), turn)
 
 
@@ -325,7 +354,7 @@ def _increasing(rng: np.random.Generator) -> Floats:
 
 
 def _waves(rng: np.random.Generator, time: Floats, count: int, decay: float) -> Floats:
-    """Random smooth function of time from 0 to 1: some half waves, whose amplitudes fall with their number."""
+    """Random smooth function of time: waves of which 1, 2, ... halves fit between 0 and 1."""
     order = np.arange(1, count + 1)
     amplitudes = rng.uniform(0.5, 1.5, count) / order**decay
     phases = rng.uniform(0, 2 * np.pi, count)
