@@ -226,6 +226,41 @@ def test_pivots_that_hide_the_conditioning(order, c):
     assert np.abs(got - expected).max() < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("column", [[1, 2e-3, 4e-6], [1, 3e-3, 1e-5], [1, 1.5e-2, 2e-4, 3e-6]])
+def test_few_rows_whose_pivots_hide_the_conditioning(column):
+    problem = Problem(
+        np.array(column)[:, None], np.array([1, 0.3, 0.7, 0.2])[: len(column)], np.arange(len(column))
+    )
+    scheme = mx.schemes.from_sets([np.arange(len(column) - 1)], n=len(column))
+    assert worst_error(problem, scheme, problem.model().cross_validate(scheme)) < 1e-9
+
+
+@pytest.mark.parametrize("spread", [1e-5, 1e-6, 1e-7, 1e-8, 1e-9])
+def test_one_row_that_nearly_determines_a_column(spread):
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        A = rng.normal(size=(9, 5))
+        A[1:, -1] *= np.sqrt(spread)
+        A[0, -1] = 3
+        if np.linalg.cond(A[1:] / np.linalg.norm(A[1:], axis=0)) < 20:
+            b = rng.normal(size=9)
+            norms = np.linalg.norm(A[1:], axis=0)
+            expected = b[0] - A[0] / norms @ np.linalg.lstsq(A[1:] / norms, b[1:], rcond=None)[0]
+            found = mx.LeastSquares(A, b).held_out_residuals([0])[0]
+            assert found == pytest.approx(expected, abs=1e-9 * max(abs(expected), np.abs(b).max()))
+
+
+def test_many_sets_around_one_datum_that_do_not_nest():
+    # Were each compared with all others, this would take minutes.
+    rng = np.random.default_rng(0)
+    model = mx.LeastSquares(rng.normal(size=(60, 4)), rng.normal(size=60))
+    held = [np.append(rng.choice(np.arange(1, 60), 8, replace=False), 0) for _ in range(100_000)]
+    cv = model.cross_validate(mx.schemes.from_sets(held, [[0]] * len(held), n=60))
+    some = rng.choice(len(held), 50, replace=False)
+    alone = [model.held_out_residuals(held[s])[-1] for s in some]
+    np.testing.assert_allclose(cv.residuals[some], alone, rtol=1e-9)
+
+
 @pytest.mark.parametrize("n", [1, 2, 7, 1999, 2000, 2001, 4100])
 def test_shapes_around_the_blocks_of_the_factorisation(n):
     rng = np.random.default_rng(n)

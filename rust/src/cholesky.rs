@@ -55,7 +55,7 @@ impl Bordered {
         let panels = (order + border).div_ceil(PANEL);
         let needed = panels * (terms + order) * PANEL + PANEL;
         if self.storage.len() < needed {
-            self.storage = vec![0.0; needed];
+            self.storage = vec![0.0; needed.max(self.storage.len() * 3 / 2)];
             self.skip = self.storage.as_ptr().align_offset(64).min(PANEL);
         }
         let rows = panels * PANEL;

@@ -19,7 +19,8 @@ use crate::factor::{Factor, Problem, expect_length};
 use crate::linalg::dot;
 use crate::plan::{CARRIED, Hat, Plan, Slot, costs};
 use crate::pool::Pool;
-use crate::refit::{Inverse, Refit, Suspect};
+use crate::refine::{Batch, Inverse, Suspect, refinable};
+use crate::refit::Refit;
 use crate::scheme::Sets;
 
 /// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
@@ -28,10 +29,6 @@ const SAFE: f64 = 2e-6;
 
 /// Random right-hand sides that tell lambda_min; they fit in the padding of the last panel as a rule.
 pub(crate) const PROBES: usize = 2;
-
-/// Pairs close to rank loss that share a pass over the basis, and how many numbers their factors may have.
-const BATCH: usize = 16;
-const BATCH_SIZE: usize = 4_000_000;
 
 /// Which data each pair holds out and validates, and the rows of every datum.
 pub struct Pairs<'a> {
@@ -87,7 +84,7 @@ impl Factor {
         let mut slots = plan.slots(&mut residuals, &mut status, self.responses);
         pool.run(
             plan.chunks(&mut slots, pool.threads()).into_iter(),
-            || Workspace::new(self, &plan),
+            Workspace::default,
             |workspace, chunk| {
                 let mut rest = chunk.slots;
                 for run in chunk.runs {
@@ -105,7 +102,8 @@ impl Factor {
         Ok(Predictions { residuals, rows: rows.collect(), offsets: plan.offsets, status })
     }
 
-    /// The pairs that the closed form left, in small batches: they cost far more than the others.
+    /// The pairs that the closed form left: refined in small batches, and refitted where that does not do, each a task
+    /// of its own, since it costs far more.
     fn rescue(
         &self,
         problem: &Problem<'_>,
@@ -122,36 +120,64 @@ impl Factor {
             let (out, after) = rest.split_at_mut(size);
             rest = after;
             if status.is_none() {
-                left.push((pair, status, out));
+                left.push((pair, Slot { residuals: out, status }));
             }
         }
-        let batch = (BATCH_SIZE / (self.rank * self.rank).max(1)).clamp(1, BATCH);
         let failure = OnceLock::new();
+        let batch = plan.batch(self.rank);
         pool.run(
             left.chunks_mut(batch),
-            || (Refit::default(), (0..batch).map(|_| Workspace::new(self, plan)).collect::<Vec<_>>()),
-            |(refit, workspaces), batch| {
-                let hat = plan.hat.as_ref();
-                let mut suspects = Vec::with_capacity(batch.len());
-                let mut found = Vec::with_capacity(batch.len());
-                for (workspace, (pair, status, out)) in workspaces.iter_mut().zip(batch) {
-                    workspace.gather(pairs, &[*pair]);
-                    out.fill(f64::NAN);
-                    suspects.push(workspace.suspect(self, hat, out));
-                    found.push(status);
-                }
-                match refit.predict(self, problem, pool, &mut suspects) {
-                    Ok(all) => {
-                        for ((status, now), suspect) in found.into_iter().zip(all).zip(suspects) {
-                            unweight(self, &suspect.rows[..suspect.validated], suspect.out);
-                            **status = Some(now);
-                        }
-                    }
+            || (Batch::default(), (0..batch).map(|_| Workspace::default()).collect::<Vec<_>>()),
+            |(refining, workspaces), batch| {
+                // Once called off, nobody reads the result.
+                let _ = self.refine(plan, pairs, (refining, workspaces), batch, pool);
+            },
+        )?;
+        left.retain(|(_, slot)| slot.status.is_none());
+        pool.run(
+            left.into_iter(),
+            || (Refit::default(), Workspace::default()),
+            |(refit, workspace), (pair, slot)| {
+                workspace.gather(pairs, &[pair]);
+                let kept = (&workspace.rows[..], workspace.validated);
+                slot.residuals.fill(f64::NAN);
+                match refit.predict(self, problem, pool, kept, slot.residuals) {
+                    Ok(found) => *slot.status = Some(found),
                     Err(error) => drop(failure.set(error)),
                 }
+                unweight(self, &workspace.rows[..workspace.validated], slot.residuals);
             },
         )?;
         failure.into_inner().map_or(Ok(()), Err)
+    }
+
+    /// Refines what can be, of a few pairs.
+    fn refine(
+        &self,
+        plan: &Plan,
+        pairs: &Pairs<'_>,
+        (refining, workspaces): (&mut Batch, &mut [Workspace]),
+        batch: &mut [(usize, Slot<'_>)],
+        pool: &Pool<'_>,
+    ) -> Result<(), Error> {
+        let mut suspects = Vec::with_capacity(batch.len());
+        let mut status = Vec::with_capacity(batch.len());
+        for (workspace, (pair, slot)) in workspaces.iter_mut().zip(batch) {
+            workspace.gather(pairs, &[*pair]);
+            let suspect = workspace.suspect(self, plan.hat.as_ref(), slot.residuals);
+            if refinable(self, suspect.least) {
+                suspects.push(suspect);
+                status.push(&mut *slot.status);
+            }
+        }
+        let good = refining.refine(self, pool, &mut suspects)?;
+        for ((status, suspect), good) in status.into_iter().zip(suspects).zip(good) {
+            if good {
+                unweight(self, &suspect.rows[..suspect.validated], suspect.out);
+                *status = Some(Status::Refined);
+            }
+        }
+        Ok(())
     }
 
     /// The blocks `H_KK` of the hat matrix for sets of rows: each row-major, one after another.
@@ -191,7 +217,8 @@ pub(crate) fn check_indices(sets: &Sets, bound: usize) -> Result<(), Error> {
     }
 }
 
-/// Everything a thread needs to solve pairs without allocating.
+/// Everything a thread needs to solve pairs; it soon allocates no more.
+#[derive(Default)]
 struct Workspace {
     system: Bordered,
     /// Held-out rows of the run at hand: the validated ones, then those that each pair holds out beyond the one before.
@@ -206,23 +233,6 @@ struct Workspace {
 }
 
 impl Workspace {
-    fn new(factor: &Factor, plan: &Plan) -> Self {
-        let mut system = Bordered::default();
-        let (q, p) = (plan.largest, factor.rank);
-        let border = factor.responses + PROBES + CARRIED;
-        let dual = q.min(if plan.hat.is_some() { q } else { p });
-        system.reserve(dual, border, if plan.hat.is_some() { 0 } else { p });
-        system.reserve(p, border, q);
-        Self {
-            system,
-            rows: Vec::with_capacity(q),
-            ends: Vec::new(),
-            places: Vec::new(),
-            validated: 0,
-            least: Vec::new(),
-        }
-    }
-
     fn gather(&mut self, pairs: &Pairs<'_>, run: &[usize]) {
         self.rows.clear();
         self.ends.clear();
@@ -301,14 +311,15 @@ impl Workspace {
     fn unrolled<const N: usize>(&self, factor: &Factor, out: &mut [f64]) -> f64 {
         let q: [&[f64]; N] = std::array::from_fn(|i| factor.basis_row(self.rows[i]));
         let mut l = [[0.0; N]; N];
-        let mut smallest = f64::INFINITY;
+        // Eigenvalues are at most one, so the least is at least their product.
+        let mut least = 1.0;
         for i in 0..N {
             for j in 0..=i {
                 let own = if i == j { 1.0 } else { 0.0 };
                 let sum: f64 = (0..j).map(|k| l[i][k] * l[j][k]).sum();
                 let value = own - dot(q[i], q[j]) - sum;
                 if i == j {
-                    smallest = smallest.min(value);
+                    least *= value.max(0.0);
                 }
                 l[i][j] = if i == j { value.max(0.0).sqrt() } else { value / l[j][j] };
             }
@@ -323,7 +334,7 @@ impl Workspace {
             }
             out.iter_mut().skip(c).step_by(factor.responses).zip(z).for_each(|(e, z)| *e = z);
         }
-        smallest
+        least
     }
 
     /// Solves the pairs of the first `ends` rows, each inside the next; false if the largest cannot be factored. More

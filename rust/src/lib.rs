@@ -34,7 +34,8 @@
 //! | [`gram`] | the matrix that neighbouring held-out sets share |
 //! | [`doubled`] | the same with twice the digits, for pairs close to rank loss |
 //! | [`cholesky`] | the kernel: Gram matrix, factorisation and solve in one recurrence |
-//! | [`refit`] | pairs at the edge of rank loss |
+//! | `refine` | pairs close to rank loss: the closed form corrected, several at a time |
+//! | [`refit`] | pairs that may have lost rank: the training rows reduced anew |
 //! | [`neighbours`], [`delaunay`] | which data are near which |
 //! | [`curve`] | an order in which successive data are near each other |
 //! | [`placement`] | Lloyd's algorithm for control points |
@@ -97,5 +98,6 @@ mod plan;
 pub mod pool;
 #[cfg(feature = "python")]
 mod python;
+mod refine;
 pub mod refit;
 pub mod scheme;

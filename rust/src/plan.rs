@@ -12,8 +12,15 @@ use crate::scheme::Sets;
 /// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
 pub(crate) const CARRIED: usize = 4;
 
+/// Chains around the same data that a set is compared with.
+const OPEN: usize = 4;
+
 /// Hat matrices are kept whole up to this many rows (72 MB).
 const HAT_ROWS: usize = 3000;
+
+/// Pairs close to rank loss that share a pass over the basis, and how many numbers their systems may have.
+const BATCH: usize = 16;
+const BATCH_SIZE: usize = 4_000_000;
 
 /// What a pair costs beside its multiply-adds, in these.
 const OVERHEAD: f64 = 100.0;
@@ -29,7 +36,7 @@ pub(crate) struct Plan {
     /// The hat matrix, where it pays.
     pub hat: Option<Hat>,
     /// Rows of the largest pair.
-    pub largest: usize,
+    largest: usize,
 }
 
 /// Where a pair's results go.
@@ -70,8 +77,7 @@ impl Plan {
             pairs.rows.len(),
         )?;
         let visits = visits(pairs.order, pairs.rows.len());
-        let mut chains = chains(pairs.held, pairs.validated, &visits);
-        pool.proceed()?;
+        let mut chains = chains(pairs.held, pairs.validated, &visits, pool)?;
         // Those that validate more than ride along are solved one by one.
         chains.retain(|chain| offsets[chain[0] + 1] - offsets[chain[0]] <= CARRIED);
         let (runs, cost) = schedule(&chains, &held, factor.rank, false);
@@ -90,6 +96,14 @@ impl Plan {
         } else {
             Self { runs, cost, offsets, hat: None, largest }
         })
+    }
+
+    /// How many pairs are refined at once.
+    pub fn batch(&self, rank: usize) -> usize {
+        let (q, terms) = (self.largest, if self.hat.is_some() { 0 } else { rank });
+        let (dual, primal) = costs(q, rank, self.hat.is_some());
+        let system = if dual <= primal { q * (q + terms) } else { rank * (rank + q) };
+        (BATCH_SIZE / system.max(1)).clamp(1, BATCH)
     }
 
     /// Where every pair's results go, run after run.
@@ -173,27 +187,41 @@ impl Hat {
 }
 
 /// Pairs that validate the same data, in order of their sets' sizes, each set inside the next; two pairs or more.
-fn chains(held: &Sets, validated: &Sets, visits: &[usize]) -> Vec<Vec<usize>> {
+fn chains(
+    held: &Sets,
+    validated: &Sets,
+    visits: &[usize],
+    pool: &Pool<'_>,
+) -> Result<Vec<Vec<usize>>, Error> {
     let first = |pair: usize| validated.get(pair).first().map(|&datum| (visits[datum], datum));
     let mut order: Vec<_> = (0..held.len()).map(|pair| (first(pair), held.get(pair).len(), pair)).collect();
     order.sort_unstable();
     let mut chains = Vec::new();
     // By their first datum: those that begin alike and go on otherwise may part a chain, which only costs time.
     for group in order.chunk_by(|&(.., a), &(.., b)| validated.get(a) == validated.get(b)) {
+        pool.proceed()?;
         let mut open: Vec<Vec<usize>> = Vec::new();
-        for &(.., pair) in group {
-            match open.iter_mut().find(|chain| inside(held.get(chain[chain.len() - 1]), held.get(pair))) {
+        for (count, &(.., pair)) in group.iter().enumerate() {
+            if count % 1000 == 0 {
+                pool.proceed()?;
+            }
+            // Balls have a chain or two: of many sets that do not nest, only the last few are asked.
+            let near = open.iter_mut().rev().take(OPEN);
+            match near.into_iter().find(|chain| inside(held.get(chain[chain.len() - 1]), held.get(pair))) {
                 Some(chain) => chain.push(pair),
                 None => open.push(vec![pair]),
             }
         }
         chains.extend(open.into_iter().filter(|chain| chain.len() > 1));
     }
-    chains
+    Ok(chains)
 }
 
 /// Whether an increasing list is part of another.
 fn inside(small: &[usize], large: &[usize]) -> bool {
+    if small.last() > large.last() {
+        return false;
+    }
     let mut rest = large.iter();
     small.iter().all(|x| rest.by_ref().find(|y| *y >= x) == Some(x))
 }
@@ -241,7 +269,9 @@ mod tests {
         let held: Sets =
             [vec![0, 1, 2], vec![1], vec![0, 1], vec![1, 3], vec![4], vec![0, 1]].into_iter().collect();
         let validated: Sets = [1, 1, 1, 1, 4, 0].into_iter().map(|d| vec![d]).collect();
-        assert_eq!(chains(&held, &validated, &visits(&[4, 1], 5)), [vec![1, 2, 0]]);
+        let never = std::sync::atomic::AtomicBool::new(false);
+        let found = chains(&held, &validated, &visits(&[4, 1], 5), &Pool::new(1, &never));
+        assert_eq!(found.unwrap(), [vec![1, 2, 0]]);
         let all = |k: usize| (0..k).collect::<Vec<_>>();
         assert!(inside(&[], &[]) && inside(&[2, 5], &[0, 2, 4, 5]) && inside(&all(9), &all(9)));
         assert!(!inside(&[2, 5], &[2, 4]) && !inside(&[0], &[]) && !inside(&[0, 3], &[1, 3]));

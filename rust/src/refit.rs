@@ -1,13 +1,8 @@
-//! The few pairs whose training rows barely determine the model, or do not.
+//! Pairs whose training rows may have lost rank: an exact refit.
 //!
-//! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is
-//! about eps / lambda_min(M). Two remedies, the cheaper first. *Refinement* takes the residuals of the training rows
-//! themselves, which do not suffer, and corrects with the factor at hand; several pairs at once, so that one pass over the
-//! basis serves all. Where even that is too coarse, a *refit* reduces
-//! the training rows by Householder reflections, which sees rank down to rounding; for nested models (`lead`, `forward`) the
-//! triangle that is left answers for all leading columns.
+//! Householder reflections reduce the training rows, which sees rank down to rounding; for nested models (`lead`, `forward`)
+//! the triangle that is left answers for all leading columns.
 
-use crate::cholesky::Bordered;
 use crate::error::Error;
 use crate::factor::{Factor, Problem, leading_rank, numerical_rank};
 use crate::holdout::Status;
@@ -17,39 +12,12 @@ use crate::pool::Pool;
 /// Training rows reduced at a time.
 const ROWS: usize = 512;
 
-/// Refinement needs a lambda_min(M) at which the factor still contracts the error, and the basis has its digits.
-const REFINABLE: f64 = 1e-10;
-
-/// A factored system that applies the inverse of `M = I - Q_K^T Q_K`.
-pub(crate) enum Inverse<'a> {
-    /// The factor of M.
-    Primal(&'a mut Bordered),
-    /// That of `S = I - Q_K Q_K^T`, and the rows K: `M^-1 = I + Q_K^T S^-1 Q_K`.
-    Dual(&'a mut Bordered, &'a [usize]),
-}
-
-impl Inverse<'_> {
-    /// `x <- M^-1 x`.
-    fn apply(&mut self, factor: &Factor, x: &mut [f64]) {
-        match self {
-            Self::Primal(system) => x.copy_from_slice(system.solve(x)),
-            Self::Dual(system, rows) => {
-                let held: Vec<f64> = rows.iter().map(|&i| dot(factor.basis_row(i), x)).collect();
-                for (z, &i) in system.solve(&held).iter().zip(*rows) {
-                    x.iter_mut().zip(factor.basis_row(i)).for_each(|(x, q)| *x += z * q);
-                }
-            }
-        }
-    }
-}
-
 /// Workspace; allocated at the first pair that needs it.
 #[derive(Default)]
 pub struct Refit {
     held: Vec<bool>,
     change: Vec<f64>,
     row: Vec<f64>,
-    batch: Batch,
     /// A block of training rows under the triangle of those before, column-major.
     block: Vec<f64>,
     /// Rows of the block.
@@ -59,63 +27,32 @@ pub struct Refit {
 }
 
 impl Refit {
-    /// Predicts the validated rows of every pair, and writes their weighted residuals.
+    /// Predicts without `rows`, and writes the weighted residuals of the first `validated` of them.
     pub(crate) fn predict(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        suspects: &mut [Suspect<'_>],
-    ) -> Result<Vec<Status>, Error> {
-        self.row.resize(factor.rank + factor.responses, 0.0);
-        let refined = self.batch.refine(factor, suspects);
-        let mut status = Vec::with_capacity(suspects.len());
-        for (s, (suspect, refined)) in suspects.iter_mut().zip(refined).enumerate() {
-            let Suspect { rows, validated, out, .. } = suspect;
-            let kept = &rows[..*validated];
-            self.change.clear();
-            if refined {
-                let changes = self.batch.changes.chunks_exact(factor.rank * self.batch.width);
-                changes.for_each(|all| self.change.extend(&all[s * factor.rank..(s + 1) * factor.rank]));
-                self.write(out, factor, kept, |row, out| {
-                    out[..factor.rank].copy_from_slice(factor.basis_row(row));
-                    out[factor.rank..].copy_from_slice(factor.residual_row(row));
-                    Ok(())
-                })?;
-                status.push(Status::Refined);
-                continue;
-            }
-            self.change.resize(factor.rank * factor.responses, 0.0);
-            self.held.resize(factor.total_rows, false);
-            rows.iter().for_each(|&i| self.held[i] = true);
-            let reduced = self.reduce(factor, problem, pool, rows.len());
-            rows.iter().for_each(|&i| self.held[i] = false);
-            status.push(if reduced? {
-                self.write(out, factor, kept, |row, out| factor.full_rank_row(problem, row, out))?;
-                Status::Refitted
-            } else {
-                Status::Undefined
-            });
-        }
-        Ok(status)
-    }
-
-    /// Residuals of rows, given in the coordinates of `change` with their right-hand sides behind.
-    fn write(
-        &mut self,
+        (rows, validated): (&[usize], usize),
         out: &mut [f64],
-        factor: &Factor,
-        rows: &[usize],
-        fetch: impl Fn(usize, &mut [f64]) -> Result<(), Error>,
-    ) -> Result<(), Error> {
-        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
-            fetch(row, &mut self.row)?;
+    ) -> Result<Status, Error> {
+        self.held.resize(factor.total_rows, false);
+        self.change.resize(factor.rank * factor.responses, 0.0);
+        self.row.resize(factor.rank + factor.responses, 0.0);
+        rows.iter().for_each(|&i| self.held[i] = true);
+        let reduced = self.reduce(factor, problem, pool, rows.len());
+        rows.iter().for_each(|&i| self.held[i] = false);
+        if !reduced? {
+            return Ok(Status::Undefined);
+        }
+        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&rows[..validated]) {
+            factor.full_rank_row(problem, row, &mut self.row)?;
             let (left, right) = self.row.split_at(factor.rank);
             for ((e, b), change) in e.iter_mut().zip(right).zip(self.change.chunks_exact(factor.rank)) {
                 *e = b - dot(left, change);
             }
         }
-        Ok(())
+        Ok(Status::Refitted)
     }
 
     /// Solves the training rows by QR; false if they have lost rank.
@@ -235,118 +172,4 @@ impl Refit {
         let values = linalg::thin_svd(design, rank, factor.columns, pool)?.s;
         Ok(numerical_rank(&values, factor.tolerance))
     }
-}
-
-/// A pair close to rank loss.
-pub(crate) struct Suspect<'a> {
-    pub inverse: Inverse<'a>,
-    /// An estimate of lambda_min(M).
-    pub least: f64,
-    /// Held-out rows, those that are validated first.
-    pub rows: &'a [usize],
-    pub validated: usize,
-    pub out: &'a mut [f64],
-}
-
-/// Workspace of the refinement.
-#[derive(Default)]
-struct Batch {
-    /// Pairs refined at once.
-    width: usize,
-    /// One vector a pair, for each response: rank x width, column-major.
-    changes: Vec<f64>,
-    gradients: Vec<f64>,
-    part: Vec<f64>,
-    rest: Vec<f64>,
-}
-
-impl Batch {
-    /// `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until what is left is rounding; tells of which pairs it is.
-    fn refine(&mut self, factor: &Factor, suspects: &mut [Suspect<'_>]) -> Vec<bool> {
-        let size = factor.rank * suspects.len();
-        self.width = suspects.len();
-        self.changes.clear();
-        self.changes.resize(size * factor.responses, 0.0);
-        self.gradients.resize(size, 0.0);
-        self.part.resize(size, 0.0);
-        self.rest.resize(ROWS * self.width, 0.0);
-        let mut good: Vec<bool> = suspects.iter().map(|s| s.least > REFINABLE && certain(factor)).collect();
-        for c in 0..factor.responses {
-            self.refine_response(factor, suspects, c, &mut good);
-        }
-        good
-    }
-
-    fn refine_response(
-        &mut self,
-        factor: &Factor,
-        suspects: &mut [Suspect<'_>],
-        c: usize,
-        good: &mut [bool],
-    ) {
-        let (rank, size) = (factor.rank, factor.rank * self.width);
-        let mut before = vec![0.0; self.width];
-        let mut open: Vec<usize> = (0..self.width).filter(|&s| good[s]).collect();
-        // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
-        for &s in &open {
-            let change = &mut self.changes[c * size + s * rank..c * size + (s + 1) * rank];
-            for &row in suspects[s].rows {
-                let e = factor.residual_row(row)[c];
-                change.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
-            }
-            suspects[s].inverse.apply(factor, change);
-            before[s] = dot(change, change);
-        }
-        for _ in 0..8 {
-            if open.is_empty() {
-                return;
-            }
-            self.descend(factor, suspects, c);
-            open.retain(|&s| {
-                let step = &mut self.gradients[s * rank..(s + 1) * rank];
-                suspects[s].inverse.apply(factor, step);
-                let change = &mut self.changes[c * size + s * rank..c * size + (s + 1) * rank];
-                change.iter_mut().zip(&*step).for_each(|(x, d)| *x += d);
-                let (length, whole) = (dot(step, step), dot(change, change));
-                // Squares: the next step would gain as many digits as this one did.
-                let done = length * length <= 1e-24 * whole * before[s];
-                // Each step must gain a digit.
-                good[s] = done || length <= 1e-2 * before[s];
-                before[s] = length;
-                good[s] && !done
-            });
-        }
-        open.iter().for_each(|&s| good[s] = false);
-    }
-
-    /// The gradients `Q_-K^T (e_-K - Q_-K change)` of all pairs, in one pass over the basis.
-    fn descend(&mut self, factor: &Factor, suspects: &[Suspect<'_>], c: usize) {
-        let (rank, width) = (factor.rank, self.width);
-        let changes = &self.changes[c * rank * width..(c + 1) * rank * width];
-        self.gradients.fill(0.0);
-        for (block, basis) in factor.basis.chunks(ROWS * rank).enumerate() {
-            let first = block * ROWS;
-            let rest = &mut self.rest[..basis.len() / rank * width];
-            linalg::rows_product(basis, changes, rank, width, rest);
-            for (i, rest) in rest.chunks_exact_mut(width).enumerate() {
-                let e = factor.residual_row(first + i)[c];
-                rest.iter_mut().for_each(|x| *x = e - *x);
-            }
-            let rows = first..first + basis.len() / rank;
-            for (s, suspect) in suspects.iter().enumerate() {
-                for row in suspect.rows.iter().filter(|row| rows.contains(row)) {
-                    rest[(row - first) * width + s] = 0.0;
-                }
-            }
-            linalg::transposed_product(basis, rest, rank, width, &mut self.part);
-            self.gradients.iter_mut().zip(&self.part).for_each(|(sum, part)| *sum += part);
-        }
-    }
-}
-
-/// Whether what can be refined leaves no doubt of the training rows' rank. Their singular values are at least those of
-/// the design times the square root of lambda_min(M), which is allowed a hundredth of its estimate.
-fn certain(factor: &Factor) -> bool {
-    let bound = factor.least * (REFINABLE / 100.0).sqrt();
-    bound > factor.tolerance * (factor.columns as f64).sqrt()
 }
