@@ -30,6 +30,7 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
 	$(BIN)/python benches/nested.py
+	$(BIN)/python benches/reproduce.py
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 

@@ -167,9 +167,9 @@ def main() -> None:
     given = parser.parse_args()
     if unknown := set(given.parts) - set(parts):
         parser.error(f"no such part: {', '.join(sorted(unknown))}")
-    setting = Setting(given.rounds, {15: 40, 30: 20, 150: 6, 500: 3}, 1, {15: 200, 60: 60, 150: 16, 500: 4})
+    setting = Setting(given.rounds, {15: 40, 30: 20, 150: 6, 500: 3}, 1, {60: 200, 150: 40, 500: 8})
     if given.small:
-        setting = Setting(1, {15: 4, 30: 2, 150: 1, 500: 1}, 16, {15: 16, 60: 4})
+        setting = Setting(1, {15: 4, 30: 2, 150: 1, 500: 1}, 16, {60: 16})
     describe_machine()
     for name in given.parts or parts:
         parts[name](setting)

@@ -67,11 +67,6 @@ def die(index, how):
     return index
 
 
-def talk(index):
-    print("printed by a worker")
-    return sys.stdin.read(), index
-
-
 def family(index):
     return os.getpid(), set(mx.map_problems(surroundings_alone, [(0,), (1,)], workers=2))
 
@@ -153,13 +148,6 @@ def test_a_worker_does_not_start_workers():
         assert children == {pid}
 
 
-def test_what_a_function_prints_and_reads_does_no_harm(capfd):
-    assert mx.map_problems(talk, [(0,), (1,), (2,)], workers=2) == [("", 0), ("", 1), ("", 2)]
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("printed by a worker") == 3
-
-
 # -------------------------------------------------------------------------------------------------- wrong input
 
 
@@ -185,8 +173,9 @@ def test_what_cannot_be_pickled():
     text = refused(lambda: mx.map_problems(lambda x: x, [(1,), (2,)], workers=2), "function", TypeError)
     assert "workers=1" in text
     problems = [(0.0, 1), (0.0, 2), (0.0, threading.Lock())]
-    text = refused(lambda: mx.map_problems(nap, problems, workers=2), "problems", TypeError)
-    assert text.startswith("Invalid problems[2].")
+    with pytest.raises(TypeError, match="pickle") as caught:
+        mx.map_problems(nap, problems, workers=2)
+    assert caught.value.__notes__ == ["This was problem 2 (from 0) of 3."]
     with pytest.raises((AttributeError, TypeError, ValueError), match=r"pickle|local object"):
         mx.map_problems(unpicklable, [(0,), (1,)], workers=2)
 
@@ -217,7 +206,7 @@ def test_the_first_failing_problem_is_raised_whichever_fails_first(workers):
     assert caught.value.args == ("first",)
     assert "problem 1 " in caught.value.__notes__[0]
     assert 0 in seen  # begun, and not lost
-    assert len(seen) < 5  # the rest is not begun
+    assert len(seen) < 15  # most of the rest is not begun
 
 
 def test_an_error_that_cannot_be_pickled_arrives_as_text():
@@ -226,9 +215,11 @@ def test_an_error_that_cannot_be_pickled_arrives_as_text():
 
 
 @posix
-@pytest.mark.parametrize(("how", "said"), [("kill", "by signal 9"), ("exit", "with exit status 3")])
-def test_a_worker_that_dies_is_told(how, said):
-    with pytest.raises(RuntimeError, match=f"The worker process of problem 1 ended {said}"):
+@pytest.mark.parametrize("how", ["kill", "exit"])
+def test_a_worker_that_dies_is_told(how):
+    with pytest.raises(
+        RuntimeError, match=r"A worker process ended .* problems [01] to \d+ .* out of memory"
+    ):
         mx.map_problems(die, [(i,) for i in range(20)], workers=2, how=how)
 
 
@@ -245,18 +236,10 @@ def test_an_error_of_on_result_ends_all():
 # ------------------------------------------------------------------------------------------ scripts and signals
 
 
-def script(tmp_path, code, *, stdin=False):
+def script(tmp_path, code):
     path = tmp_path / "script.py"
     path.write_text(textwrap.dedent(code))
-    with path.open() as file:
-        return subprocess.run(
-            [sys.executable, "-" if stdin else path],
-            stdin=file if stdin else None,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+    return subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=60, check=False)
 
 
 OWN = """
@@ -271,26 +254,13 @@ OWN = """
 """
 
 
-def test_a_script_needs_no_guard_for_functions_of_modules(tmp_path):
-    code = """
-        import mexpress as mx
-        problems = [([[0, 0], [9, 0], [0, 9], [9, 9], [4, 5]],) * 2] * 3
-        print(len(mx.map_problems(mx.fit_warp, problems, workers=2, control_points=problems[0][0][:3])))
-    """
-    for stdin in (False, True):
-        done = script(tmp_path, code, stdin=stdin)
-        assert (done.stdout, done.stderr) == ("3\n", "")
-
-
-def test_a_script_of_its_own_function_needs_one(tmp_path):
+def test_a_script_needs_a_guard(tmp_path):
     done = script(tmp_path, OWN.format(guard='if __name__ == "__main__":'))
     assert (done.stdout, done.stderr) == ("[2, 4]\n", "")
     done = script(tmp_path, OWN.format(guard="if True:"))
     assert done.returncode == 1
-    assert "Call map_problems under if __name__ == '__main__'" in done.stderr
-    done = script(tmp_path, OWN.format(guard='if __name__ == "__main__":'), stdin=True)
-    assert done.returncode == 1
-    assert "TypeError: Invalid function. Worker processes must be able to import it" in done.stderr
+    assert done.stdout == ""
+    assert "a script calls this under if __name__ == '__main__'" in done.stderr.splitlines()[-1]
 
 
 BUSY = """
@@ -353,7 +323,10 @@ def test_workers_end_with_their_parent(what, how):
             while any(map(alive, pids)) and time.monotonic() < sent + 5:
                 time.sleep(0.05)
             assert not any(map(alive, pids))
-            assert process.stderr.read() == ""
+            complaints = process.stderr.read()
+            # Python clears away the semaphores of a process that was killed, and says so.
+            assert ("resource_tracker" if how == "kill" else "") in complaints
+            assert how == "kill" or complaints == ""
         finally:
             process.kill()
     assert len(pids) == 2

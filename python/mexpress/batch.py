@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
-import queue
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import closing, nullcontext
+from contextvars import ContextVar
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
 from mexpress import _validation as check
-from mexpress import workers as processes
 from mexpress.progress import bar
-from mexpress.workers import Call, Ledger, Outcome
 
 __all__ = ["map_problems"]
 
 Result = TypeVar("Result")
 Problem = tuple[Any, ...] | Mapping[str, Any]
+Call = tuple[tuple[Any, ...], dict[str, Any]]
+Results = Generator[tuple[int, Any], None, None]
+
+_THREADS = "MEXPRESS_NUM_THREADS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS VECLIB_MAXIMUM_THREADS"
+_STARTING = threading.Lock()
+_within: ContextVar[bool] = ContextVar("within", default=False)
+_DEAD = (
+    "A worker process ended before its time, while it had one of problems {} to {} (from 0). It crashed, ran out of "
+    "memory, or could not import the function, or the script: a script calls this under if __name__ == '__main__'."
+)
 
 
 def map_problems(
@@ -30,16 +46,15 @@ def map_problems(
     """Call a function on many problems, on all cores.
 
     The cores are used by processes with one thread each. Python's lock lets only one thread at a time do what is not
-    in the core: three quarters of the time that `select_warp` takes on 60 matches with the paper's criteria, a third
-    on 500, so threads of Python would gain at most 1.3 and 3 times, on however many cores
+    in the core, so threads of Python leave cores idle, the more so the smaller the problems
     (``benches/reproduce.py batches`` times both). A process costs about a quarter of a second to start.
 
     Parameters
     ----------
     function : callable
         Such as `select_warp`. It must be picklable, and so must be what it takes and returns: a function of a module,
-        not a lambda. If it, or a problem's class, is defined in the script itself, this call must be under
-        ``if __name__ == "__main__":``.
+        not a lambda. Processes import the script that calls this, which must do so under
+        ``if __name__ == "__main__":``, as with `multiprocessing`.
     problems : iterable of tuples or mappings
         Each holds the arguments of one call, by position or by name.
     workers : int, optional
@@ -63,12 +78,12 @@ def map_problems(
     Raises
     ------
     ValueError, TypeError
-        If a problem is neither a tuple nor a mapping, or something cannot be pickled.
+        If a problem is neither a tuple nor a mapping, or the function cannot be pickled.
     Exception
         What the function raises, with a note that says in which problem: the first one, in the order of the problems,
-        that fails. Those that were already begun are finished before it is raised.
+        that fails. Those before it are finished; those after it that are not are given up.
     RuntimeError
-        If a process dies.
+        If a process dies, or the function raises what cannot be pickled.
 
     Notes
     -----
@@ -86,7 +101,6 @@ def map_problems(
     >>> [selection.count for selection in selections]
     [3, 3, 3]
     """
-    rule = "It must be a tuple of arguments, or a mapping of them by name."
     calls: list[Call] = []
     for problem in check.items(problems, "problems", "They must be tuples or mappings."):
         if isinstance(problem, Mapping) and all(isinstance(name, str) for name in problem):
@@ -94,35 +108,25 @@ def map_problems(
         elif isinstance(problem, tuple):
             calls.append((problem, options))
         else:
+            rule = "It must be a tuple of arguments, or a mapping of them by name."
             check.refuse(f"problems[{len(calls)}]", rule, check.describe(problem), TypeError)
     for name, given in (("function", function), ("on_result", on_result)):
         if not callable(given) and (given is not None or name == "function"):
             check.refuse(name, "It must be callable.", check.describe(given), TypeError)
     check.flag(progress, "progress")
-    ledger = Ledger(len(calls))
-    stream = _stream(function, calls, workers, client, ledger)
-    results: dict[int, Result] = {}
-    failure: Outcome | None = None
+    found: dict[int, Result] = {}
+    stream = _stream(function, calls, workers, client)
     with closing(stream), bar(len(calls), "problems") if progress else nullcontext(lambda: None) as step:
-        for outcome in stream:
-            if outcome.error is None:
-                results[outcome.index] = outcome.result
-                if on_result is not None:
-                    on_result(outcome.index, outcome.result)
-            elif failure is None or outcome.index < failure.index:
-                failure = outcome
-                ledger.bound = outcome.index
+        for index, result in stream:
+            found[index] = result
+            if on_result is not None:
+                on_result(index, result)
             step()
-    if failure is not None and failure.error is not None:
-        failure.error.add_note(f"This was problem {failure.index} (from 0) of {len(calls)}.")
-        raise failure.error
-    return [results[index] for index in range(len(calls))]
+    return [found[index] for index in range(len(calls))]
 
 
-def _stream(
-    function: Callable[..., Any], calls: Sequence[Call], workers: int | None, client: Any, ledger: Ledger
-) -> Generator[Outcome, None, None]:
-    """Choose who makes the calls."""
+def _stream(function: Callable[..., Any], calls: Sequence[Call], workers: int | None, client: Any) -> Results:
+    """Choose who makes the calls; results come with the indices of their problems."""
     number = check.threads(None) if workers is None else check.count(workers, "workers", 1)
     if client is not None:
         if workers is not None:
@@ -130,54 +134,124 @@ def _stream(
         if not callable(getattr(client, "submit", None)) or getattr(client, "asynchronous", False):
             rule = "It must be a distributed.Client, not an asynchronous one, or an Executor."
             check.refuse("client", rule, check.describe(client), TypeError)
-        return _by_client(client, function, calls, ledger)
-    number = min(number, len(calls), 1024)
-    if processes.in_worker() or number <= 1:
-        return _in_turn(function, calls, ledger)
-    return processes.run(function, calls, number, ledger)
+        if callable(getattr(client, "get_executor", None)):
+            client = client.get_executor(pure=False)  # Dask takes a pure function's equal calls for one
+        return _by_executor(client, function, calls, 1000, cancel=True)
+    number = min(number, len(calls), 61 if sys.platform == "win32" else len(calls))  # a limit of Windows
+    if number <= 1 or _within.get():  # if a worker calls, its siblings keep the other cores busy
+        return _in_turn(function, calls)
+    return _by_processes(function, calls, number)
 
 
-def _in_turn(
-    function: Callable[..., Any], calls: Sequence[Call], ledger: Ledger
-) -> Generator[Outcome, None, None]:
-    """Make the calls in this process."""
+def _in_turn(function: Callable[..., Any], calls: Sequence[Call]) -> Results:
     for index, (args, kwargs) in enumerate(calls):
-        if index >= ledger.bound:
-            return
         try:
-            outcome = Outcome(index, function(*args, **kwargs))
-        except Exception as error:  # raised by the caller
-            outcome = Outcome(index, error=error)
-        yield outcome
+            result = function(*args, **kwargs)
+        except Exception as error:
+            error.add_note(f"This was problem {index} (from 0) of {len(calls)}.")
+            raise
+        yield index, result
 
 
-def _by_client(
-    client: Any, function: Callable[..., Any], calls: Sequence[Call], ledger: Ledger
-) -> Generator[Outcome, None, None]:
-    """Have a client make the calls; its futures are those of Dask or of the standard library."""
-    # Dask takes equal calls for one, unless told that they are not pure.
-    pure = {"pure": False} if callable(getattr(client, "scheduler_info", None)) else {}
-    found: queue.SimpleQueue[int] = queue.SimpleQueue()
-    futures = [client.submit(_called, function, args, kwargs, **pure) for args, kwargs in calls]
+def _by_processes(function: Callable[..., Any], calls: Sequence[Call], number: int) -> Results:
     try:
-        for index, future in enumerate(futures):
-            future.add_done_callback(lambda _, index=index: found.put(index))
-        while ledger.open:
-            index = processes.awaited(found)
-            ledger.enter(index)
-            if index < ledger.bound:
-                yield _outcome(index, futures[index])
+        pickle.dumps(function)
+    except Exception as error:  # whatever the function's class raises
+        rule = "It must be picklable: define it in a module, or set workers=1."
+        raise TypeError(f"Invalid function. {rule} Given {type(error).__name__}: {error}.") from error
+    context = _Context()
+    pool = ProcessPoolExecutor(number, context, _begin)
+    try:
+        # Python 3.11's pool trips over futures that were cancelled when a worker dies.
+        yield from _by_executor(pool, function, calls, 4 * number, cancel=False)
+    except BaseException:  # Ctrl-C and a caller that has enough among them
+        for process in context.started:
+            if process.is_alive():
+                process.kill()
+        raise
     finally:
-        for future in futures:
-            future.cancel()
+        pool.shutdown(cancel_futures=True)
 
 
-def _called(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    return function(*args, **kwargs)
-
-
-def _outcome(index: int, future: Any) -> Outcome:
+def _by_executor(
+    executor: Executor, function: Callable[..., Any], calls: Sequence[Call], ahead: int, cancel: bool
+) -> Results:
+    """Hand out calls, so many ahead, until all below the first one that fails are done."""
+    pending: dict[Future[Any], int] = {}
+    failure: BaseException | None = None
+    following, bound = 0, len(calls)
     try:
-        return Outcome(index, future.result())
-    except Exception as error:  # raised by the caller
-        return Outcome(index, error=error)
+        while following < bound or min(pending.values(), default=bound) < bound:
+            while following < bound and len(pending) < ahead:
+                pending[executor.submit(_call, function, *calls[following])] = following
+                following += 1
+            for future in wait(pending, 1.0, FIRST_COMPLETED).done:  # Windows sees Ctrl-C only between waits
+                index, error = pending[future], future.exception()
+                if isinstance(error, BrokenExecutor):
+                    raise error
+                if error is None:
+                    yield index, future.result()
+                elif index < bound:
+                    failure, bound = error, index
+                del pending[future]
+    except BrokenExecutor as error:
+        raise RuntimeError(_DEAD.format(min(pending.values(), default=0), following - 1)) from error
+    finally:
+        for future in pending if cancel else ():
+            future.cancel()
+    if failure is not None:
+        failure.add_note(f"This was problem {bound} (from 0) of {len(calls)}.")
+        raise failure
+
+
+class _Process(SpawnProcess):
+    """A process whose libraries have one thread: it inherits variables that they read when they are imported."""
+
+    def start(self) -> None:
+        with _STARTING:
+            before = {name: os.environ.get(name) for name in _THREADS.split()}
+            os.environ.update(dict.fromkeys(before, "1"))
+            try:
+                super().start()
+            finally:
+                for name, value in before.items():
+                    del os.environ[name]
+                    if value is not None:
+                        os.environ[name] = value
+
+
+class _Context(SpawnContext):
+    """Makes processes for one pool, and knows them."""
+
+    def __init__(self) -> None:
+        self.started: list[_Process] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> _Process:  # type: ignore[override]  # noqa: N802
+        self.started.append(_Process(*args, **kwargs))
+        return self.started[-1]
+
+
+def _begin() -> None:
+    """Prepare a worker: Ctrl-C is for its parent, and it ends when this does, which a pool's does not if idle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    token = _within.set(True)
+    try:
+        return function(*args, **kwargs)
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:  # what cannot be unpickled would break the pool
+            raise RuntimeError(repr(error)) from error
+        raise
+    finally:
+        _within.reset(token)

@@ -8,6 +8,7 @@ from typing import Any
 
 from mexpress import reports
 from mexpress.cli import common
+from mexpress.plotting.figures import new_figure
 from mexpress.reproduce import EXPERIMENTS, Experiment, Options
 
 __all__ = ["add_reproduce"]
@@ -63,7 +64,7 @@ def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
         seed=arguments.seed,
         threads=arguments.threads,
         progress=not arguments.quiet,
-        plots=arguments.plots,
+        plots=arguments.plots and _can_plot(),
     )
     options.out.mkdir(parents=True, exist_ok=True)
     outcome = experiment.run(options)
@@ -73,6 +74,16 @@ def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     summary = {"versions": reports.versions(), "command": command, **outcome.summary}
     reports.write_summary(options.out / name, summary)
     print(f"\n{options.out}: {', '.join([name, *outcome.files])}")
+
+
+def _can_plot() -> bool:
+    """Whether plots can be made: known now, since the numbers of a long run are worth more than its plots."""
+    try:
+        new_figure(1, 1)
+    except ImportError as error:
+        common.note(f"no plots. {error}")
+        return False
+    return True
 
 
 def _existing(data: Path | None, kind: str) -> Path | None:
