@@ -3,8 +3,9 @@
 Usage: ``python benches/reproduce.py [problems] [batches] [--rounds 3] [--small]``; both parts if none is named.
 
 ``problems`` measures simulated pairs of images with one thread, as each worker does: all 13 criteria and TEST for every
-number of control points. Stages are timed where `mexpress.selection` calls them; the rest is what is between. The last
-column is what the 450 problems of that size, and all 1,800, take on all cores if these keep each other busy.
+number of control points. As in a run, where a configuration's sizes are one task, only the largest pays for what they
+share. Stages are timed where `mexpress.selection` calls them; the rest is what is between. The last column is what the
+450 problems of that size, and all 1,800, take on all cores if these keep each other busy.
 
 ``batches`` runs `select_warp` on many problems of one size: one after the other with one thread and with all of them,
 by as many threads of Python with one thread each, and by `map_problems`, whose processes have one thread each. The
@@ -74,15 +75,17 @@ def stages(n: int, number: int, stride: int) -> tuple[float, dict[str, float]]:
     """Seconds a problem takes, and each stage of it; means over some problems."""
     every = simulation.configurations()
     some = every[:: len(every) // number][:number]
-    clock = Clock()
+    clock, total, prepared = Clock(), 0.0, simulation.correspondences
     with ExitStack() as stack:
         for stage, functions in STAGES.items():
             for where, name in functions:
                 stack.enter_context(patch.object(where, name, clock.timed(stage, getattr(where, name))))
-        start = time.perf_counter()
         for configuration in some:
+            if n < max(SIZES):
+                prepared(configuration, n)
+            start = time.perf_counter()
             table1.measure(configuration, n, stride)
-        total = time.perf_counter() - start
+            total += time.perf_counter() - start
     return total / number, {stage: seconds / number for stage, seconds in clock.seconds.items()}
 
 

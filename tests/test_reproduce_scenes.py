@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,13 @@ from matplotlib.image import imread
 from skimage.draw import polygon2mask
 
 import mexpress as mx
+from mexpress import reports
 from mexpress.cli import main
 from mexpress.matches import write_matches, write_points_csv
-from mexpress.reproduce import Options, choices, table2
+from mexpress.plotting.scenes import plot_scene
+from mexpress.reproduce import Options, choices, paper, table2
 from mexpress.reproduce.contours import jaccard, outlines, rasterised, resampled, transferred
+from mexpress.reproduce.findings import findings
 from mexpress.reproduce.scenes import SIZES, Problem, Recorded, Simulated, read_scenes
 from mexpress.reproduce.transfer import CRITERIA, trial
 
@@ -25,6 +29,9 @@ SQUARE = np.array([[10.0, 10], [20, 10], [20, 20], [10, 20]])
 HOMOGRAPHY = np.array([[1.1, 0.1, 20], [-0.05, 0.9, 30], [4e-4, 2e-4, 1]])
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(0, 1, (120, 2)) * [320, 240]
+
+
+FLAT = {"kind": "flat", "homography": HOMOGRAPHY.tolist(), "target_size": [400, 300]}
 
 
 def mapped(points):
@@ -109,6 +116,14 @@ def test_resampled_contours_keep_their_corners_and_their_shape():
         resampled(corners, 0)
 
 
+def test_contours_of_two_corners_or_of_any_length_are_refused():
+    for corners in (SQUARE[:1], SQUARE[:2]):
+        with pytest.raises(ValueError, match=r"^Invalid ring\. A polygon must have three corners"):
+            resampled(corners)
+    with pytest.raises(ValueError, match=r"^Invalid ring\. It must be no longer than 1,000,000 steps"):
+        resampled(1e9 * SQUARE)
+
+
 def test_a_contour_that_goes_through_infinity_is_not_transferred():
     warp = mx.fit_warp(POINTS, mapped(POINTS), POINTS[:3])
     ring = resampled(star(), 2)
@@ -133,7 +148,7 @@ def write_contour(path, ring):
 
 
 def test_a_scene_with_contours_is_read(tmp_path):
-    write_scene(tmp_path, told={"kind": "rigid", "image_size": [320, 240]})
+    write_scene(tmp_path, told={"kind": "rigid", "image_size": [320, 240], "target_size": [400, 300]})
     write_contour(tmp_path / "plane_source_contour.csv", star())
     write_contour(tmp_path / "plane_target_contour.csv", mapped(star(400)))
     (scene,) = read_scenes(tmp_path)
@@ -144,11 +159,11 @@ def test_a_scene_with_contours_is_read(tmp_path):
         (320, 240),
     )
     assert jaccard(scene.source_contour, star(), (320, 240)) > 0.999
-    assert all((ring < scene.target_size).all() for ring in scene.target_contour)
+    assert scene.target_size == (400, 300)
 
 
 def test_a_homography_gives_the_contour_of_the_target_and_unseen_points(tmp_path):
-    write_scene(tmp_path, told={"kind": "flat", "homography": HOMOGRAPHY.tolist()})
+    write_scene(tmp_path, told=FLAT)
     write_contour(tmp_path / "plane_source_contour.csv", star())
     (scene,) = read_scenes(tmp_path)
     np.testing.assert_allclose(scene.target_contour[0], mapped(scene.source_contour[0]))
@@ -195,6 +210,8 @@ def test_draws_share_nothing_with_what_is_left_out(tmp_path):
         ({"homography": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, "homography"),
         ({"image_size": [0, 3]}, "image_size"),
         ("flat", "data"),
+        ({"target_size": [9, 9]}, "target_size"),
+        ({"image_size": [9, 9]}, "image_size"),
     ],
 )
 def test_wrong_declarations_are_refused(told, message, tmp_path):
@@ -232,7 +249,91 @@ def test_wrong_directories_are_refused(tmp_path):
         read_scenes(black)
 
 
+def test_files_that_scenes_json_does_not_name_are_left_alone(tmp_path):
+    folder = write_scene(tmp_path, told={"kind": "flat"})
+    (folder / "notes.txt").write_text("taken on Monday\n", encoding="utf-8")
+    assert [scene.name for scene in read_scenes(folder)] == ["plane"]
+
+
+def test_sizes_that_contradict_each_other_are_refused(tmp_path):
+    """A mask of another size would be compared with contours elsewhere."""
+    mask = polygon2mask((240, 320), star(200)[:, ::-1])
+    for name, told, shape in (
+        ("small", None, (9, 9)),
+        ("image", None, (120, 160)),
+        ("told", {"image_size": [640, 480]}, (240, 320)),
+    ):
+        folder = write_scene(tmp_path / name, told=told)
+        part = np.ones(shape, dtype=bool) if shape == (9, 9) else mask
+        for side in ("source", "target"):
+            skimage.io.imsave(folder / f"plane_{side}_mask.png", np.uint8(255 * part), check_contrast=False)
+            image = part if name == "small" else mask[: shape[0], : shape[1]]
+            skimage.io.imsave(folder / f"plane_{side}.png", np.uint8(99 * image), check_contrast=False)
+        with pytest.raises(ValueError, match=r"^Invalid image_size\. .* in the scene plane\.$"):
+            read_scenes(folder)
+
+
+@pytest.mark.parametrize("ring", [star() - 900, np.array([[10.0, 10.5], [90, 10.5], [50, 10.5]])])
+def test_a_contour_without_a_pixel_is_refused(tmp_path, ring):
+    """Its Jaccard index would be undefined, or zero, whatever the warp."""
+    write_scene(tmp_path, told=FLAT)
+    write_contour(tmp_path / "plane_source_contour.csv", ring)
+    with pytest.raises(ValueError, match=r"^Invalid contour\. It must cover a pixel .* in the scene plane"):
+        read_scenes(tmp_path)
+
+
+def test_a_contour_outside_of_the_target_is_refused(tmp_path):
+    write_scene(tmp_path, told={**FLAT, "target_size": [400, 90]})
+    (tmp_path / "plane.csv").unlink()
+    near = POINTS[POINTS[:, 1] < 60]
+    write_matches(tmp_path / "plane.csv", near, mapped(near))
+    write_contour(tmp_path / "plane_source_contour.csv", star(centre=(160, 200), radius=25))
+    with pytest.raises(ValueError, match=r"must cover a pixel of the image, 400 x 90"):
+        read_scenes(tmp_path)
+
+
+def test_the_size_of_the_target_is_asked_for_where_a_contour_is(tmp_path):
+    write_scene(tmp_path, told={"homography": HOMOGRAPHY.tolist()})
+    write_contour(tmp_path / "plane_source_contour.csv", star())
+    with pytest.raises(ValueError, match=r"^Invalid target_size\. .* Given none, in the scene plane\."):
+        read_scenes(tmp_path)
+    huge = write_scene(tmp_path / "huge", told={**FLAT, "target_size": [1e6, 1e6]})
+    write_contour(huge / "plane_source_contour.csv", star())
+    with pytest.raises(ValueError, match=r"^Invalid target_size\. .* pixels at most"):
+        read_scenes(huge)
+
+
+def test_a_homography_that_reaches_infinity_is_refused(tmp_path):
+    """Between two of the points it maps, or between corners of the contour."""
+    through = [[1, 0, 0], [0, 1, 0], [-1 / 160, 0, 1]]
+    write_scene(tmp_path, told={**FLAT, "homography": through})
+    with pytest.raises(ValueError, match=r"^Invalid homography\. .* same sign .* in the scene plane\.$"):
+        read_scenes(tmp_path)
+    beyond = write_scene(
+        tmp_path / "beyond", told={**FLAT, "homography": [[1, 0, 0], [0, 1, 0], [-1 / 330, 0, 1]]}
+    )
+    assert read_scenes(beyond)
+    write_contour(beyond / "plane_source_contour.csv", star(centre=(310, 120)))
+    with pytest.raises(ValueError, match=r"^Invalid homography\. .* over the contour"):
+        read_scenes(beyond)
+
+
+def test_messages_name_the_contour_file_and_the_scene(tmp_path):
+    folder = write_scene(tmp_path, told={**FLAT, "homography": [1, 2]})
+    with pytest.raises(ValueError, match=r"^Invalid homography\. .*in the scene plane\.$"):
+        read_scenes(folder)
+    write_contour(folder / "plane_source_contour.csv", star()[:1])
+    with pytest.raises(
+        ValueError, match=r"three corners at least\. Given 1, in .*plane_source_contour\.csv\.$"
+    ):
+        read_scenes(folder)
+
+
 # Trials.
+
+
+def test_the_criteria_are_the_papers_and_fit():
+    assert ("FIT", *paper.CRITERIA) == CRITERIA
 
 
 def problem_of(source, target, ring=None, unseen=None):
@@ -272,8 +373,10 @@ def test_warps_that_fail_are_reported():
     source = np.random.default_rng(4).uniform(0, 300, (40, 2))
     target = np.random.default_rng(5).uniform(0, 300, (40, 2))
     judged = trial(problem_of(source, target, star(300), POINTS), True, range(3, 21), ["PRESS"])
-    lost = judged.jaccard == 0
+    lost = judged.lost
     assert lost.any()
+    assert not lost.all()
+    assert not judged.jaccard[lost].any()
     assert (judged.vanishing[lost] > 0).any()
     assert (judged.folded > 0).any()
     assert (judged.folded + judged.vanishing <= 1).all()
@@ -281,6 +384,41 @@ def test_warps_that_fail_are_reported():
     linear = trial(problem_of(source, target), False, range(3, 21), ["PRESS"])
     assert (linear.folded[3:] > 0).all()
     assert not linear.vanishing.any()
+
+
+def test_a_contour_that_is_transferred_elsewhere_is_not_lost(tmp_path):
+    """Zero overlap is not a denominator that vanishes, of which linear warps have none."""
+    points, there = POINTS[:40], POINTS[:40] + 1000
+    unseen = np.zeros((0, 2))
+    problem = Problem(points, there, unseen, unseen, (star(300),), (star(300),), None, (2000, 2000))
+    judged = trial(problem, False, [3, 4, 5], ["PRESS"])
+    assert not judged.jaccard.any()
+    assert not judged.lost.any()
+    labels = [
+        text.get_text() for text in plot_scene({"linear": judged}, "away").axes[5].get_legend().get_texts()
+    ]
+    assert not any("vanishes" in label for label in labels)
+    assert any("Jaccard 0.000" in label for label in labels)
+
+
+def test_a_scene_is_drawn_with_its_names_inside_and_says_where_a_criterion_ends():
+    judged = trial(Simulated("flat", "perspective").draw(51, seed=0), True, range(3, 27), ["ER10", "PRESS"])
+    defined = np.flatnonzero(np.isfinite(judged.selection.curves["ER10"]))
+    curves = {
+        **judged.selection.curves,
+        "ER10": np.where(np.arange(24) < 20, judged.selection.curves["ER10"], np.nan),
+    }
+    assert len(defined)
+    ending = replace(judged, selection=replace(judged.selection, curves=curves))
+    figure = plot_scene({"fractional": ending}, "a scene")
+    figure.canvas.draw()
+    labels = [text.get_text() for text in figure.axes[5].get_legend().get_texts()]
+    (told,) = (label for label in labels if label.startswith("ER10"))
+    assert told.endswith("(undefined from 23 control points on)")
+    truth = figure.axes[4]
+    assert truth.texts
+    assert all(text.get_window_extent().x0 >= truth.get_window_extent().x0 for text in truth.texts)
+    assert "matches" not in figure.get_suptitle()
 
 
 def test_an_undefined_position_is_an_infinite_error(monkeypatch):
@@ -297,6 +435,7 @@ def rows(curves, n=51, draw=0):
     size = len(curves["JACCARD"])
     same = {"scene": ["s"] * size, "form": ["linear"] * size, "n": [n] * size, "draw": [draw] * size}
     every = {name: curves.get(name, np.arange(size)[::-1]) for name in (*CRITERIA, "JACCARD", "TRANSFER")}
+    every["LOST"] = curves.get("LOST", np.zeros(size))
     return {name: np.array(column) for name, column in {**same, "count": range(3, 3 + size), **every}.items()}
 
 
@@ -323,7 +462,10 @@ def test_choices_are_the_smallest_scores_and_the_best_is_the_truest():
 
 
 def test_cells_are_means_and_say_what_failed():
-    curves = ({"JACCARD": [0.0, 0.8], "ER10": [1, 2]}, {"JACCARD": [0.4, 0.8], "ER10": [2, 1]})
+    curves = (
+        {"JACCARD": [0.0, 0.8], "LOST": [1, 0], "ER10": [1, 2]},
+        {"JACCARD": [0.4, 0.8], "ER10": [2, 1]},
+    )
     made = [
         c for k, of in enumerate(curves) for c in choices.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
     ]
@@ -334,17 +476,62 @@ def test_cells_are_means_and_say_what_failed():
     text = choices.table(list(cells.values()), ["ER10", "NONE"])
     assert "!0.400±0.400" in text
     assert text.splitlines()[-1].split() == ["NONE", "-", "-", "-"]
-    last = choices.losses(list(cells.values()), {"s": "flat"}, ["ER10"]).splitlines()[-1]
+    last = choices.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
+    assert last.split() == ["ER10", "50.00", "0", "of", "0"]  # linear warps have no denominator
+    made = [replace(choice, form="fractional") for choice in made]
+    last = choices.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
     assert last.split() == ["ER10", "50.00", "1", "of", "2"]
+
+
+def test_a_loss_is_that_of_the_same_draw():
+    """A criterion that is defined in the hard draw only is not blamed for the draw."""
+    easy = {"JACCARD": [1.0, 0.8], "ER10": [np.nan, np.nan]}
+    hard = {"JACCARD": [0.5, 0.4], "ER10": [1, 2]}
+    made = [
+        c
+        for k, of in enumerate((easy, hard))
+        for c in choices.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
+    ]
+    line = choices.losses(made, {"s": "flat"}, ["ER10", "FIT"]).splitlines()[-2:]
+    assert line[0].split()[1] == "0.00"
+    assert line[1].split()[1] == "20.00"
+
+
+def test_statements_hold_or_do_not():
+    """A statement that a third of the cells bear out does not hold, and says so."""
+    made = [
+        choices.Choice(f"s{k}", "linear", 51, 0, "FIT", 26 if k == 0 else 3, 26, 1.0, 0.9, 1.0)
+        for k in range(3)
+    ]
+    cells = choices.cells(made)
+    (claim,) = findings(cells, {f"s{k}": "" for k in range(3)}, {})
+    assert (claim.holds, claim.evidence) == (False, "in 1 of 3 cells")
+    assert claim.text.startswith("does NOT hold: FIT alone takes nearly all")
+    (claim,) = findings(cells[:1], {"s0": ""}, {})
+    assert claim.text.startswith("holds: FIT alone")
+
+
+def test_a_misspelt_criterion_is_an_error(monkeypatch):
+    module = importlib.import_module("mexpress.reproduce.findings")
+    (first, _, *how), *_ = module._STATEMENTS
+    monkeypatch.setattr(module, "_STATEMENTS", [(first, ("ER5",), *how)])
+    with pytest.raises(KeyError, match="ER5"):
+        findings([], {}, {})
 
 
 # The whole.
 
 
+def drawn(outcome, out):
+    for name, draw in outcome.plots.items():
+        draw(out / name)
+    return outcome
+
+
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     out = tmp_path_factory.mktemp("table2")
-    return out, table2.TABLE2.run(Options(None, out, quick=True, progress=False))
+    return out, drawn(table2.TABLE2.run(Options(None, out, quick=True, progress=False)), out)
 
 
 def cell(outcome, scene, form, criterion, n=51):
@@ -402,12 +589,13 @@ def test_the_report_and_the_files_have_every_scene(quick):
     out, outcome = quick
     for scene in ("flat-affine", "rigid-perspective", "deformable-perspective"):
         assert f"{scene}, linear warps" in outcome.report
-    assert "cells: flat scene, no perspective" in outcome.report
-    assert outcome.files == ["table2_rows.csv", "table2.csv", "table2.png"]
-    assert all((out / name).stat().st_size > 1000 for name in outcome.files)
+    assert "holds: flat scene, no perspective" in outcome.report
+    assert outcome.files == ["table2_rows.csv", "table2.csv"]
+    assert list(outcome.plots) == ["table2.png"]
+    assert all((out / name).stat().st_size > 1000 for name in (*outcome.files, *outcome.plots))
     names = (out / "table2.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert names[:5] == ["scene", "form", "n", "criterion", "draws"]
-    json.dumps(outcome.summary, allow_nan=False)
+    reports.write_summary(out / "table2.json", outcome.summary)
     assert imread(out / "table2.png")[..., :3].std() > 0.02
 
 
@@ -449,12 +637,13 @@ def test_figures_are_drawn_by_command(name, kind, tmp_path, capsys):
 
 
 def test_a_figure_of_ones_own_scene_is_drawn_on_its_images(tmp_path):
-    data = write_scene(tmp_path / "data", told={"kind": "flat", "homography": HOMOGRAPHY.tolist()})
+    data = write_scene(tmp_path / "data", told={**FLAT, "target_size": [320, 240]})
     write_contour(data / "plane_source_contour.csv", star())
     for side in ("source", "target"):
         image = np.uint8(np.random.default_rng(0).integers(0, 255, (240, 320, 3)))
         skimage.io.imsave(data / f"plane_{side}.png", image, check_contrast=False)
-    outcome = table2.FIGURE4.run(Options(data, tmp_path, quick=True, progress=False))
+    outcome = drawn(table2.FIGURE4.run(Options(data, tmp_path, quick=True, progress=False)), tmp_path)
+    assert "! in some draw the denominator vanishes" in outcome.report
     assert outcome.summary["scene"] == "plane"
     assert imread(tmp_path / "figure4.png")[..., :3].std() > 0.02
     with pytest.raises(ValueError, match="kind is rigid"):
@@ -465,10 +654,34 @@ def test_a_scene_without_contour_is_judged_by_the_matches_left_out(tmp_path):
     data = write_scene(tmp_path / "data", points=POINTS[:70])
     outcome = table2.TABLE2.run(Options(data, tmp_path, quick=True, progress=False))
     found = cell(outcome, "plane", "fractional", "ER10")
-    assert found["jaccard"] is None
+    assert math.isnan(found["jaccard"])
     assert found["transfer"] < 1e-3
     assert "transfer" in outcome.report
     assert "Percent" not in outcome.report
+
+
+def test_rows_of_other_data_are_never_used(tmp_path):
+    """Neither those of changed matches, nor those of a scene that is gone."""
+    data, out = write_scene(tmp_path / "data", points=POINTS[:60]), tmp_path / "out"
+    out.mkdir()
+    options = Options(data, out, quick=True, progress=False, plots=False)
+    write_scene(data, "zoo", points=POINTS[60:])
+    table2.TABLE2.run(options)
+    assert str(tmp_path) not in (out / "table2_rows.csv").read_text(encoding="utf-8")
+    moved = data.rename(tmp_path / "moved")
+    assert "zoo, linear" in table2.TABLE2.run(replace(options, data=moved)).report  # the same data
+    (moved / "zoo.csv").rename(tmp_path / "zoo.csv")
+    with pytest.raises(ValueError, match=r"^Invalid out\. .* another run \(data"):
+        table2.TABLE2.run(replace(options, data=moved))
+    write_matches(moved / "zoo.csv", POINTS[59:], POINTS[59:])
+    with pytest.raises(ValueError, match=r"^Invalid out\. .* another run \(data"):
+        table2.TABLE2.run(replace(options, data=moved))
+
+
+def test_a_figure_without_contour_says_what_it_shows(tmp_path):
+    data = write_scene(tmp_path / "data", told={"kind": "flat"})
+    report = table2.FIGURE4.run(Options(data, tmp_path, quick=True, progress=False)).report
+    assert table2.NO_CONTOUR in report
 
 
 def test_the_numbers_of_matches_are_the_papers():
@@ -480,6 +693,7 @@ def test_the_numbers_of_matches_are_the_papers():
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory):
+    pytest.importorskip("cv2")  # the example's
     if not DATA.is_dir():
         pytest.skip(f"there is no folder {DATA.parts[-2:]} beside the checkout")
     path = ROOT / "examples" / "scenes_from_data.py"
@@ -498,24 +712,35 @@ def test_real_scenes_are_read(real):
     assert scenes["hulk-5"].kind == "deformable"
 
 
+LOCAL_DRAWS = 4
+
+
 def test_a_real_plane_takes_about_three_control_points(real):
+    """The paper's number is three: the best is, and criteria select it or the next in most draws."""
     (graf,) = (scene for scene in read_scenes(real) if scene.name == "graf")
-    problem = graf.draw(51, seed=0)
-    judged = trial(problem, True, range(3, 27), ["ER05", "ER10", "NN05PCT", "NN10PCT"])
-    selected = judged.selection.selected
-    print(f"graf: {selected}")
-    for criterion in ("ER05", "ER10", "NN05PCT", "NN10PCT"):
-        assert selected[criterion] <= 5
-        assert judged.jaccard[selected[criterion] - 3] > 0.99
-    assert judged.jaccard[selected["FIT"] - 3] < 0.99
+    judged = [trial(graf.draw(51, seed), True, range(3, 27), LOCAL) for seed in range(LOCAL_DRAWS)]
+    assert [3 + of.jaccard.argmax() for of in judged] == [3] * LOCAL_DRAWS
+    for criterion in (*LOCAL, "FIT"):
+        counts = [of.selection.selected[criterion] for of in judged]
+        truths = [of.jaccard[count - 3] for of, count in zip(judged, counts, strict=True)]
+        print(f"graf: {criterion} {counts} {np.round(truths, 4)}")
+        if criterion == "FIT":
+            assert np.median(truths) < 0.99
+        else:
+            assert 3 <= np.median(counts) <= 4
+            assert min(truths) > 0.99
 
 
 @pytest.mark.parametrize("name", ["hulk-5", "kinectpaper-9"])
 def test_a_real_sheet_takes_more_than_a_plane_and_fewer_than_fit_wants(real, name):
     (sheet,) = (scene for scene in read_scenes(real) if scene.name == name)
-    judged = trial(sheet.draw(51, seed=0), True, range(3, 27), ["PRESS", "ER05"])
-    for criterion in ("PRESS", "ER05"):
-        count = judged.selection.selected[criterion]
-        print(f"{name}: {criterion} {count}, {judged.transfer[count - 3]:.3g} px")
-        assert 6 <= count <= 23
-        assert judged.transfer[count - 3] < 0.5 * judged.transfer[0]
+    judged = [
+        trial(sheet.draw(51, seed), True, range(3, 27), ("PRESS", *LOCAL)) for seed in range(LOCAL_DRAWS)
+    ]
+    fit = np.median([of.selection.selected["FIT"] for of in judged])
+    for criterion in ("PRESS", *LOCAL):
+        counts = [of.selection.selected[criterion] for of in judged]
+        shares = [of.transfer[count - 3] / of.transfer[0] for of, count in zip(judged, counts, strict=True)]
+        print(f"{name}: {criterion} {counts}, {np.round(shares, 2)} of the error with three")
+        assert 6 <= np.median(counts) < fit
+        assert np.median(shares) < 0.5

@@ -165,7 +165,7 @@ def summary(selection: Selection) -> dict[str, Any]:
         "score": _plain(float(chosen[0])),
         "selected": dict(selection.selected),
         "counts": selection.counts.tolist(),
-        "curves": {name: [_plain(v) for v in curve.tolist()] for name, curve in selection.curves.items()},
+        "curves": {name: _plain(curve.tolist()) for name, curve in selection.curves.items()},
         "undefined": {
             name: {str(count): data.tolist() for count, data in by_count.items()}
             for name, by_count in selection.undefined.items()
@@ -188,9 +188,13 @@ def versions() -> dict[str, str]:
     }
 
 
-def _plain(value: float) -> float | None:
+def _plain(value: Any) -> Any:
     """JSON knows neither NaN nor infinity."""
-    return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_summary(path: PathLike, content: Mapping[str, Any]) -> None:
@@ -201,11 +205,12 @@ def write_summary(path: PathLike, content: Mapping[str, Any]) -> None:
     path : str or path
         Name of the file.
     content : mapping
-        What `summary` returns, and more.
+        What `summary` returns, and more. NaN and infinities, which JSON does not know, become null.
 
     Examples
     --------
     See `mexpress.cli.main`.
     """
-    lines = (f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items())
+    plain = _plain(content)
+    lines = (f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in plain.items())
     Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")

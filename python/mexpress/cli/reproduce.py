@@ -9,7 +9,7 @@ from typing import Any
 from mexpress import reports
 from mexpress.cli import common
 from mexpress.plotting.figures import new_figure
-from mexpress.reproduce import EXPERIMENTS, Experiment, Options
+from mexpress.reproduce import EXPERIMENTS, Experiment, Options, Outcome
 
 __all__ = ["add_reproduce"]
 
@@ -20,8 +20,9 @@ def add_reproduce(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "reproduce",
         help="make a table or figure of the paper",
         description="Make a table or figure of the paper. The output directory gets NAME.json, tables as CSV and "
-        "plots as PNG. A long run that was interrupted continues where it stopped, from the rows that the "
-        "directory holds.",
+        "plots as PNG. table1 and table2, if interrupted, continue where they stopped, from the rows that the "
+        "directory holds; figure2 and figure3 use table1's rows, and continue them too. The other figures start "
+        "anew.",
     )
     experiments = parser.add_subparsers(title="experiments", required=True, metavar="NAME")
     for experiment in EXPERIMENTS.values():
@@ -34,14 +35,8 @@ def _add_experiment(experiments: argparse._SubParsersAction[common.Parser], expe
     )
     add = parser.add_argument
     if experiment.data:
-        without = "" if experiment.required else " (default: what the experiment simulates)"
-        add(
-            "data",
-            metavar=experiment.data,
-            type=Path,
-            nargs=None if experiment.required else "?",
-            help=f"the data{without}",
-        )
+        simulated = "the data (default: what the experiment simulates)"
+        add("data", metavar=experiment.data, type=Path, nargs="?", help=simulated)
     add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
     add("--quick", action="store_true", help="a smaller run of the same kind, within two minutes")
     add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
@@ -68,12 +63,28 @@ def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     )
     options.out.mkdir(parents=True, exist_ok=True)
     outcome = experiment.run(options)
-    print(outcome.report)
     name = f"{experiment.name}.json"
     command = {"experiment": experiment.name, **_command(options)}
     summary = {"versions": reports.versions(), "command": command, **outcome.summary}
     reports.write_summary(options.out / name, summary)
-    print(f"\n{options.out}: {', '.join([name, *outcome.files])}")
+    try:
+        print(outcome.report, flush=True)
+    finally:  # though the reader, such as head, may have seen enough
+        drawn = _drawn(outcome, options) if options.plots else []
+    print(f"\n{options.out}: {', '.join([name, *outcome.files, *drawn])}")
+
+
+def _drawn(outcome: Outcome, options: Options) -> list[str]:
+    """Draw the plots; return the names of those that could be."""
+    names = []
+    for name, draw in outcome.plots.items():
+        try:
+            draw(options.out / name)
+        except Exception as error:  # whatever it is, the numbers are there
+            common.note(f"no {name}. {type(error).__name__}: {error}")
+        else:
+            names.append(name)
+    return names
 
 
 def _can_plot() -> bool:

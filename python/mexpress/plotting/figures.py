@@ -23,6 +23,7 @@ __all__ = [
     "YELLOW",
     "PathLike",
     "frame",
+    "logarithmic",
     "new_figure",
     "percentile",
     "saved",
@@ -60,6 +61,15 @@ def frame(axes: Axes, points: Floats, y_down: bool = True) -> None:
     y = (high[1] + margin, low[1] - margin) if y_down else (low[1] - margin, high[1] + margin)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=y)
     axes.set_aspect("equal")
+
+
+def logarithmic(axes: Axes) -> None:
+    """Make the y axis logarithmic, with plain numbers and enough of them."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_yscale("log", subs=(2, 5) if high < 1000 * low else ())
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("{x:g}")
 
 
 def with_unit(name: str, unit: str | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -12,12 +12,12 @@ from mexpress._validation import Floats
 from mexpress.plotting.figures import PathLike, frame, new_figure, percentile, saved, with_unit
 from mexpress.plotting.solids import Solid, View, draw_solid
 from mexpress.reproduce.subjects import Subject
-from mexpress.reproduce.surfaces import Fit
+from mexpress.reproduce.surfaces import Fit, grouped
 from mexpress.surfaces import Surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
 __all__ = ["plot_fits"]
 
@@ -33,16 +33,19 @@ _SAMPLES = 30_000
 _STEEP = 0.35
 """How high a depth map's relief stands when it is shaded: depths span this fraction of the longer side."""
 
-_ALIKE = 0.08
-"""Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
-
 _LINE = 34
 """Letters in a line of a title."""
 
 _MORE = 0.4
 """How much higher than its map a panel is, in inches."""
 
-_ZOOM = 1.0
+_SOLID = 0.72
+"""Height of a panel in space, as a fraction of its width."""
+
+_BAR = 0.05
+"""Width of a colour bar, as a fraction of a panel's."""
+
+_ZOOM = 1.2
 """Of surfaces in space, which have no numbers at their axes."""
 
 Group = Sequence[Fit]
@@ -86,18 +89,36 @@ def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = Non
     >>> plot_fits(sheet, [Fit(("CMPRESS", "ER10"), 9, 0.03, 0.02, surface)])
     <Figure size ...>
     """
-    groups = _grouped(fits)
-    panels: list[Group | None] = [None, *groups] if subject.dimension == 1 else list(groups)
+    groups = grouped(fits)
+    depths = subject.dimension == 1
+    panels: list[Group | None] = [None, *groups] if depths else list(groups)
     rows = -(-len(panels) // _COLUMNS)
     columns = -(-len(panels) // rows)
     wide, high = _extent(subject)
     height = _WIDTH * float(np.clip(high / wide, 0.3, 2.0))
-    solid = 0 if subject.dimension == 1 else _WIDTH - height
-    figure = new_figure(columns * _WIDTH + 1.2, rows * (2 * (height + _MORE) + solid))
+    heights = (height if depths else _SOLID * _WIDTH, height)
+    figure = new_figure(columns * _WIDTH + 1.2, rows * (sum(heights) + _MORE))
+    # All panels in one grid have the same size; what the colours mean stands once, beside them.
+    ratios = {"width_ratios": [1.0] * columns + [_BAR], "height_ratios": heights * rows}
+    grid = figure.add_gridspec(2 * rows, columns + 1, **ratios)
     scales = _Scales.of(subject, groups)
-    strips = figure.subfigures(rows, 1, squeeze=False)
-    for k, strip in enumerate(strips[:, 0]):
-        _draw_strip(strip, subject, panels[k * columns : (k + 1) * columns], columns, scales)
+    for k, group in enumerate(panels):
+        row, column = divmod(k, columns)
+        above, below = grid[2 * row, column], grid[2 * row + 1, column]
+        if group is None:
+            _draw_data(figure.add_subplot(above), subject, scales)
+            _draw_note(figure.add_subplot(below))
+        else:
+            axes: Any = figure.add_subplot(above, projection=None if depths else "3d")
+            _draw_surface(axes, subject, group[0], scales)
+            axes.set_title(_title(group, subject.unit), loc="left", fontsize=9)
+            _draw_residuals(figure.add_subplot(below), subject, group[0], scales)
+    if depths:
+        name = "value" if subject.image_size is None else "depth"
+        _colour_bar(figure.add_subplot(grid[:rows, -1]), with_unit(name, subject.unit), scales.value_look)
+    name = "data minus surface" if depths else "distance"
+    bar = figure.add_subplot(grid[rows:, -1])
+    _colour_bar(bar, with_unit(name, subject.unit), scales.residual_look)
     return saved(figure, path)
 
 
@@ -122,6 +143,17 @@ class _Scales:
         values = (percentile(subject.values, 4), percentile(subject.values, 96))
         return cls(values, size or 1.0, view)
 
+    @property
+    def value_look(self) -> dict[str, Any]:
+        return {"cmap": "viridis", "vmin": self.values[0], "vmax": self.values[1]}
+
+    @property
+    def residual_look(self) -> dict[str, Any]:
+        """Differences of depths have a sign, distances in space have none."""
+        if self.view is None:
+            return {"cmap": "RdBu_r", "vmin": -self.residual, "vmax": self.residual}
+        return {"cmap": "viridis", "vmin": 0.0, "vmax": self.residual}
+
 
 def _residuals(subject: Subject, fit: Fit) -> Floats:
     """Return data minus surface of depths, the distances of points in space."""
@@ -131,16 +163,6 @@ def _residuals(subject: Subject, fit: Fit) -> Floats:
 
 def _solid(subject: Subject, fit: Fit) -> Solid:
     return Solid.of_points(fit.surface, subject.values, subject.image_size is not None, subject.unit)
-
-
-def _grouped(fits: Sequence[Fit]) -> list[list[Fit]]:
-    groups: list[list[Fit]] = []
-    for fit in sorted(fits, key=lambda fit: fit.count):
-        if groups and fit.count < (1 + _ALIKE) * groups[-1][0].count:
-            groups[-1].append(fit)
-        else:
-            groups.append([fit])
-    return groups
 
 
 def _title(group: Group, unit: str | None) -> str:
@@ -158,39 +180,22 @@ def _title(group: Group, unit: str | None) -> str:
     return "\n".join([*lines, f"{which}FIT {drawn.rms:.3g}{truth}" + (f" {unit}" if unit else "")])
 
 
-def _draw_strip(
-    strip: SubFigure, subject: Subject, panels: Sequence[Group | None], columns: int, scales: _Scales
-) -> None:
-    """Draw a row of surfaces above a row of their residuals; no group but None is the panel of the data."""
-    depths = subject.dimension == 1
-    values: dict[str, Any] = {"cmap": "viridis", "vmin": scales.values[0], "vmax": scales.values[1]}
-    residuals: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -scales.residual, "vmax": scales.residual}
-    if not depths:
-        residuals = {"cmap": "viridis", "vmin": 0.0, "vmax": scales.residual}
-    rows = strip.add_gridspec(2, columns, height_ratios=(1, 1) if depths else (1.4, 1))
-    above, below = [], []
-    for k, group in enumerate(panels):
-        look: dict[str, Any] = {} if depths else {"projection": "3d"}
-        above.append(strip.add_subplot(rows[0, k], **look))
-        if group is None:
-            _draw_data(above[-1], subject, values)
-            continue
-        _draw_surface(above[-1], subject, group[0], scales)
-        above[-1].set_title(_title(group, subject.unit), loc="left", fontsize=9)
-        below.append(strip.add_subplot(rows[1, k]))
-        _frame(below[-1], subject)
-        _dots(below[-1], subject, _residuals(subject, group[0]), **residuals)
-    if depths:
-        name = "value" if subject.image_size is None else "depth"
-        _colour_bar(strip, above, name, subject.unit, **values)
-    name = "data minus surface" if depths else "distance"
-    _colour_bar(strip, below, name, subject.unit, **residuals)
-
-
-def _draw_data(axes: Axes, subject: Subject, look: dict[str, Any]) -> None:
+def _draw_data(axes: Axes, subject: Subject, scales: _Scales) -> None:
     _frame(axes, subject)
-    _dots(axes, subject, subject.values, **look)
+    _dots(axes, subject, subject.values, **scales.value_look)
     axes.set_title(f"{subject.name}\n{len(subject.points)} data", loc="left", fontsize=9)
+
+
+def _draw_note(axes: Axes) -> None:
+    """Say below the data what is below the surfaces."""
+    axes.set_axis_off()
+    note = "Below each surface:\nthe data minus the surface."
+    axes.text(0.97, 0.5, note, ha="right", va="center", fontsize=9, transform=axes.transAxes)
+
+
+def _draw_residuals(axes: Axes, subject: Subject, fit: Fit, scales: _Scales) -> None:
+    _frame(axes, subject)
+    _dots(axes, subject, _residuals(subject, fit), **scales.residual_look)
 
 
 def _draw_surface(axes: Any, subject: Subject, fit: Fit, scales: _Scales) -> None:
@@ -203,14 +208,13 @@ def _draw_surface(axes: Any, subject: Subject, fit: Fit, scales: _Scales) -> Non
     axes.set(xticklabels=[], yticklabels=[], zticklabels=[])
 
 
-def _colour_bar(strip: SubFigure, axes: list[Any], name: str, unit: str | None, **look: Any) -> None:
+def _colour_bar(axes: Axes, label: str, look: Mapping[str, Any]) -> None:
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415  an extra, imported where used
     from matplotlib.colors import Normalize  # noqa: PLC0415
 
     colours = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])
-    label = with_unit(name, unit)
     extend = "both" if look["vmin"] else "max"
-    strip.colorbar(colours, ax=axes, label=label, extend=extend, aspect=25, shrink=0.9, pad=0.01)
+    axes.figure.colorbar(colours, cax=axes, label=label, extend=extend)
 
 
 def _frame(axes: Axes, subject: Subject) -> None:

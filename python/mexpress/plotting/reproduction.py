@@ -15,6 +15,7 @@ from mexpress.plotting.figures import (
     RED,
     SKY,
     PathLike,
+    logarithmic,
     new_figure,
     saved,
 )
@@ -39,7 +40,9 @@ def plot_mean_curves(curves: Mapping[int, Curves], path: PathLike | None = None)
     """Plot every criterion's mean and standard deviation against the number of control points (figure 2).
 
     A row of panels for each number of correspondences, a column for each kind of criterion, FIT and TEST in all.
-    Dots mark the smallest means. Values far above the smallest ones leave the frame.
+    Dots mark the smallest means. Bands of a standard deviation to either side end there, or where the deviation
+    comes near the mean, as beyond it does of a few problems with enormous scores. Values far above the smallest ones
+    leave the frame.
 
     Parameters
     ----------
@@ -79,20 +82,24 @@ def plot_mean_curves(curves: Mapping[int, Curves], path: PathLike | None = None)
 def _draw(axes: Axes, curves: Curves, name: str, colour: str, style: str) -> None:
     mean, deviation = curves.mean(name)
     reference = name in _REFERENCES
-    lower = np.maximum(mean - deviation, 1e-3 * mean)  # the axis is logarithmic
-    axes.fill_between(curves.counts, lower, mean + deviation, color=colour, alpha=0.06, lw=0)
     axes.plot(curves.counts, mean, style, color=colour, lw=1.3 if reference else 1.8, label=name)
-    if name != "FIT" and not np.isnan(mean).all():
-        best = np.nanargmin(mean)
-        axes.plot(curves.counts[best], mean[best], "o", color=colour, ms=5, mec="white", zorder=5)
+    best = curves.lowest(name)
+    if best is None:
+        return
+    narrow = (curves.counts <= best) & (deviation < 0.8 * mean)  # the axis is logarithmic
+    axes.fill_between(
+        curves.counts, mean - deviation, mean + deviation, narrow, color=colour, alpha=0.1, lw=0
+    )
+    if name != "FIT":
+        at = mean[curves.counts == best]
+        axes.plot(best, at, "o", color=colour, ms=5, mec="white", zorder=5)
 
 
 def _set_limits(axes: Axes, curves: Curves) -> None:
     """Logarithmic, from FIT's smallest mean to thrice what TEST is with the fewest control points."""
     fit, test = curves.mean("FIT")[0], curves.mean("TEST")[0]
-    axes.set_yscale("log")
     axes.set_ylim(np.nanmin(fit) / 1.3, 3 * np.nanmax(test[:1]))
-    axes.yaxis.set_major_formatter("{x:g}")
+    logarithmic(axes)
 
 
 def plot_selections(comparisons: Sequence[Comparison], path: PathLike | None = None) -> Figure:

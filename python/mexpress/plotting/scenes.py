@@ -10,7 +10,19 @@ from numpy.typing import NDArray
 
 from mexpress._validation import Floats
 from mexpress.plotting import rasters
-from mexpress.plotting.figures import BLUE, GRAY, GREEN, ORANGE, RED, SKY, PathLike, frame, new_figure, saved
+from mexpress.plotting.figures import (
+    BLUE,
+    GRAY,
+    GREEN,
+    ORANGE,
+    RED,
+    SKY,
+    PathLike,
+    frame,
+    logarithmic,
+    new_figure,
+    saved,
+)
 from mexpress.reproduce.choices import Cell
 from mexpress.reproduce.contours import Rings, transferred
 from mexpress.reproduce.transfer import Trial
@@ -92,8 +104,8 @@ def plot_scene(
 
 def _chosen(judged: Trial) -> dict[str, int]:
     """Return which of the numbers of control points each drawn criterion chooses."""
-    curves = {name: judged.selection.curves[name] for name in _LOOKS if name in judged.selection.curves}
-    return {name: int(np.nanargmin(curve)) for name, curve in curves.items() if not np.isnan(curve).all()}
+    counts, selected = judged.selection.counts.tolist(), judged.selection.selected
+    return {name: counts.index(selected[name]) for name in _LOOKS if selected.get(name) is not None}
 
 
 def _contours(judged: Trial) -> dict[str, Rings]:
@@ -175,7 +187,7 @@ def _draw_criteria(axes: Axes, judged: Trial) -> None:
         colour, style = _LOOKS[name]
         axes.plot(counts, curve, style, color=colour, lw=1.5)
         axes.plot(counts[k], curve[k], "o", color=colour, mec="white", ms=8)
-    _logarithmic(axes)
+    logarithmic(axes)
     axes.set(xlabel="number of control points", ylabel="criterion (pixels)")
     axes.grid(alpha=0.25, lw=0.6)
 
@@ -186,7 +198,7 @@ def _draw_truth(axes: Axes, trials: Mapping[str, Trial]) -> None:
     for form, judged in trials.items():
         colour, style = _FORMS.get(form, (GREEN, "-"))
         counts, curve = judged.selection.counts, 1 - judged.jaccard if known else judged.transfer
-        lost = (curve == 1) if known else np.isinf(curve)
+        lost = judged.lost if known else np.isinf(curve)
         curve = np.where(lost, np.nan, curve)
         axes.plot(counts, curve, style, color=colour, lw=1.6, marker=".", ms=4, label=f"{form} warps")
         if lost.any():
@@ -196,7 +208,7 @@ def _draw_truth(axes: Axes, trials: Mapping[str, Trial]) -> None:
                 counts[lost], np.full(lost.sum(), 0.02), "x", color=colour, ms=5, transform=top, label=label
             )
     _mark_choices(axes, next(iter(trials.values())))
-    _logarithmic(axes)
+    logarithmic(axes)
     axes.set(xlabel="number of control points")
     axes.set_ylabel("1 - Jaccard index" if known else "RMS error at unseen points (pixels)")
     axes.set_title("truth, of which no criterion knows", loc="left", pad=24)
@@ -209,22 +221,17 @@ def _mark_choices(axes: Axes, judged: Trial) -> None:
     names: dict[int, list[str]] = {}
     for name, k in _chosen(judged).items():
         names.setdefault(int(judged.selection.counts[k]), []).append(name)
-    near, last, side = 0.04 * float(np.ptp(judged.selection.counts)), -np.inf, "right"
+    first, near = float(judged.selection.counts[0]), 0.04 * float(np.ptp(judged.selection.counts))
+    last, side = -np.inf, "right"
     for count, together in sorted(names.items()):
-        side = "left" if count - last < near and side == "right" else "right"  # of the text, which is beside
+        taken = count - last < near and side == "right"
+        side = (
+            "left" if taken or count - first < 2 * near else "right"
+        )  # of the text: beside, not over the axis
         last = count
         axes.axvline(count, color=_LOOKS[together[0]][0], lw=1, ls=":")
         text: dict[str, Any] = {"rotation": 90, "ha": side, "va": "top", "fontsize": 8, "color": "0.25"}
         axes.text(count, 0.98, ", ".join(together), transform=axes.get_xaxis_transform(), **text)
-
-
-def _logarithmic(axes: Axes) -> None:
-    """Logarithms, with plain numbers and enough of them."""
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.set_yscale("log", subs=(2, 5) if high < 1000 * low else ())
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("{x:g}")
 
 
 def _draw_key(axes: Axes, judged: Trial, form: str) -> None:
@@ -234,13 +241,24 @@ def _draw_key(axes: Axes, judged: Trial, form: str) -> None:
     for name, k in _chosen(judged).items():
         colour, style = _LOOKS[name]
         result = f"Jaccard {judged.jaccard[k]:.3f}" if np.isfinite(judged.jaccard[k]) else ""
-        if judged.jaccard[k] == 0:
+        if judged.lost[k]:
             result = "no contour: denominator vanishes"
         elif not result:
             result = f"error {judged.transfer[k]:.3g}"
-        label = f"{name}: {judged.selection.counts[k]} control points, {result}"
+        label = f"{name}: {judged.selection.counts[k]} control points, {result}{_ends(judged, name)}"
         axes.plot([], [], style, color=colour, lw=2, label=label)
     axes.legend(loc="center left", frameon=False, title=f"what {form} warps are selected", alignment="left")
+
+
+def _ends(judged: Trial, name: str) -> str:
+    """Say where a curve ends: from there on the criterion is undefined."""
+    defined = np.flatnonzero(~np.isnan(judged.selection.curves[name]))
+    counts = judged.selection.counts
+    return (
+        ""
+        if defined[-1] + 1 == len(counts)
+        else f"\n(undefined from {counts[defined[-1] + 1]} control points on)"
+    )
 
 
 def plot_choices(cells: Sequence[Cell], criteria: Sequence[str], path: PathLike | None = None) -> Figure:
@@ -285,7 +303,7 @@ def plot_choices(cells: Sequence[Cell], criteria: Sequence[str], path: PathLike 
             shift = 0.11 * (k - (len(series) - 1) / 2)
             _draw_choices(panels, [mine.get(name) for name in criteria], shift, look)
         for axes in panels:
-            _logarithmic(axes)
+            logarithmic(axes)
         panels[0].set_ylabel("control points")
         panels[0].set_title(scene, loc="left")
     for axes in rows[-1]:

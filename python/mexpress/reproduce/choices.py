@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats
-from mexpress.reproduce.transfer import CRITERIA
+from mexpress.reproduce.transfer import CRITERIA, MEASURES
 
 __all__ = ["BEST", "COLUMNS", "KEY", "Cell", "Choice", "Table", "cells", "choices", "losses", "table"]
 
@@ -28,7 +28,7 @@ BEST = "BEST"
 
 COLUMNS: dict[str, type[str] | type[int] | type[float]] = {
     **{"scene": str, "form": str, "n": int, "draw": int, "count": int},
-    **dict.fromkeys((*CRITERIA, "JACCARD", "TRANSFER", "FOLDED", "VANISHING"), float),
+    **dict.fromkeys((*CRITERIA, *MEASURES), float),
 }
 """Of the rows of trials: a row is one number of control points."""
 
@@ -57,6 +57,8 @@ class Choice:
         The chosen number of control points, and the largest one tried.
     fit, jaccard, transfer : float
         There: see `mexpress.reproduce.transfer.Trial`; NaN if unknown.
+    lost : bool
+        Whether the denominator vanishes on the contour there.
     """
 
     scene: str
@@ -69,6 +71,7 @@ class Choice:
     fit: float
     jaccard: float
     transfer: float
+    lost: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def choices(rows: Table) -> Iterator[Choice]:
     --------
     >>> names = np.array(["still"] * 2)
     >>> told = {"scene": names, "form": names, "n": np.array([51, 51]), "draw": np.array([0, 0])}
-    >>> scores = {name: np.array([2.0, 1.0]) for name in (*CRITERIA, "JACCARD", "TRANSFER")}
+    >>> scores = {name: np.array([2.0, 1.0]) for name in (*CRITERIA, "JACCARD", "TRANSFER", "LOST")}
     >>> made = list(choices({**told, "count": np.array([3, 4]), **scores}))
     >>> [(choice.criterion, choice.count) for choice in made][-2:]
     [('NN10PCT', 4), ('BEST', 3)]
@@ -126,14 +129,15 @@ def choices(rows: Table) -> Iterator[Choice]:
     keys = list(zip(*(rows[name].tolist() for name in list(COLUMNS)[:KEY]), strict=True))
     for (scene, form, n, draw), group in groupby(range(len(keys)), keys.__getitem__):
         members = list(group)
-        part = {name: rows[name][members] for name in ("count", "JACCARD", "TRANSFER", *CRITERIA)}
+        part = {name: rows[name][members] for name in ("count", "JACCARD", "TRANSFER", "LOST", *CRITERIA)}
         for name in (*CRITERIA, BEST):
             curve = part[name] if name != BEST else _badness(part["JACCARD"], part["TRANSFER"])
             if not np.isnan(curve).all():
                 k = int(np.nanargmin(curve))
                 fit, jaccard, transfer = (float(part[of][k]) for of in ("FIT", "JACCARD", "TRANSFER"))
                 count, largest = int(part["count"][k]), int(part["count"][-1])
-                yield Choice(scene, form, n, draw, name, count, largest, fit, jaccard, transfer)
+                lost = bool(part["LOST"][k] == 1)
+                yield Choice(scene, form, n, draw, name, count, largest, fit, jaccard, transfer, lost)
 
 
 def _badness(jaccard: Floats, transfer: Floats) -> Floats:
@@ -163,7 +167,7 @@ def _cell(scene: str, form: str, n: int, criterion: str, group: Sequence[Choice]
         n,
         criterion,
         draws=len(group),
-        failed=int((jaccard == 0).sum()),
+        failed=sum(choice.lost for choice in group),
         count=float(count.mean()),
         count_std=float(count.std()),
         count_median=float(np.median(count)),
@@ -230,13 +234,13 @@ def _cell_text(cell: Cell | None, third: str) -> str:
     return f"{count:>10}{fit:>12}{last:>15}"
 
 
-def losses(found: Sequence[Cell], kinds: Mapping[str, str], shown: Sequence[str]) -> str:
+def losses(made: Iterable[Choice], kinds: Mapping[str, str], shown: Sequence[str]) -> str:
     """Return as text what criteria lose of the Jaccard index that the best number of control points has.
 
     Parameters
     ----------
-    found : sequence of Cell
-        All cells.
+    made : iterable of Choice
+        All choices, with those of BEST: each is compared to it in its own draw.
     kinds : mapping of str to str
         Every scene's kind.
     shown : sequence of str
@@ -245,39 +249,42 @@ def losses(found: Sequence[Cell], kinds: Mapping[str, str], shown: Sequence[str]
     Returns
     -------
     str
-        A line for each criterion, a column for each form and kind, and in how many draws the denominator vanishes on
-        the contour, so that all is lost; nothing if there are no contours.
+        A line for each criterion, a column for each form and kind, and in how many of the draws of fractional warps
+        the denominator vanishes on the contour, so that all is lost; nothing if there are no contours.
 
     Examples
     --------
     >>> best = Choice("flat-affine", "linear", 51, 0, "BEST", 3, 26, 2.0, 0.99, 0.5)
     >>> made = [Choice("flat-affine", "linear", 51, 0, "FIT", 26, 26, 1.0, 0.95, 9.0), best]
-    >>> print(losses(cells(made), {"flat-affine": "flat"}, ["FIT"]))
-    Percent of the best Jaccard index that is lost, mean over all cells
+    >>> print(losses(made, {"flat-affine": "flat"}, ["FIT"]))
+    Percent of the best Jaccard index that is lost, mean over all draws where the criterion is defined
     criterion   linear flat    vanishing
-    FIT                4.04       0 of 1
+    FIT                4.04       0 of 0
     """
-    best = {(c.scene, c.form, c.n): c.jaccard for c in found if c.criterion == BEST}
-    lost: dict[tuple[str, str], dict[str, list[float]]] = {}
-    judged: dict[str, list[tuple[int, int]]] = {}
-    for cell in found:
-        top = best.get((cell.scene, cell.form, cell.n), math.nan)
+    made = list(made)
+    best = {(c.scene, c.form, c.n, c.draw): c.jaccard for c in made if c.criterion == BEST}
+    lost: dict[str, dict[str, list[float]]] = {}
+    vanishing: dict[str, list[bool]] = {}
+    for choice in made:
+        top = best.get((choice.scene, choice.form, choice.n, choice.draw), math.nan)
         if top > 0:
-            column = lost.setdefault((cell.form, kinds[cell.scene] or "unknown"), {})
-            column.setdefault(cell.criterion, []).append(100 * (1 - cell.jaccard / top))
-            judged.setdefault(cell.criterion, []).append((cell.failed, cell.draws))
+            column = lost.setdefault(f"{choice.form} {kinds[choice.scene] or 'unknown'}", {})
+            column.setdefault(choice.criterion, []).append(100 * (1 - choice.jaccard / top))
+            if choice.form == "fractional":  # others have no denominator
+                vanishing.setdefault(choice.criterion, []).append(choice.lost)
     if not lost:
         return ""
-    names = [f"{form} {kind}" for form, kind in lost]
     lines = [
-        "Percent of the best Jaccard index that is lost, mean over all cells",
-        "criterion" + "".join(f"{name:>{len(name) + 3}}" for name in names) + f"{'vanishing':>13}",
+        "Percent of the best Jaccard index that is lost, mean over all draws where the criterion is defined",
+        "criterion" + "".join(f"{name:>{len(name) + 3}}" for name in lost) + f"{'vanishing':>13}",
     ]
     for criterion in shown:
         parts = (
-            f"{np.mean(column.get(criterion, [math.nan])):{len(name) + 3}.2f}"
-            for name, column in zip(names, lost.values(), strict=True)
+            f"{np.mean(column[criterion]):{len(name) + 3}.2f}"
+            if criterion in column
+            else "-".rjust(len(name) + 3)
+            for name, column in lost.items()
         )
-        failed, draws = np.sum(judged.get(criterion, [(0, 0)]), axis=0)
-        lines.append(f"{criterion:9}" + "".join(parts) + f"{f'{failed} of {draws}':>13}")
+        judged = vanishing.get(criterion, [])
+        lines.append(f"{criterion:9}" + "".join(parts) + f"{f'{sum(judged)} of {len(judged)}':>13}")
     return "\n".join(lines)

@@ -31,6 +31,9 @@ __all__ = ["Mask", "Rings", "jaccard", "outlines", "rasterised", "resampled", "t
 Mask: TypeAlias = NDArray[np.bool_]
 Rings: TypeAlias = tuple[Floats, ...]
 
+_MOST = 1_000_000
+"""Points of a contour: that of a large image has some thousands."""
+
 _RULE = "It must be a bool mask (height, width), or polygons (k, 2) of three corners at least."
 
 
@@ -194,9 +197,15 @@ def resampled(ring: Any, step: float = 1.0) -> Floats:
     [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.33, 0.33], [0.67, 0.67], [0.0, 1.0]]
     """
     step = check.positive(step, "step")
-    (corners,) = _rings(ring, "ring")
+    corners = check.points(ring, "ring")
+    if len(corners) < 3:
+        check.refuse("ring", "A polygon must have three corners at least.", str(len(corners)))
     edges = np.roll(corners, -1, axis=0) - corners
-    parts = np.maximum(np.ceil(np.hypot(*edges.T) / step), 1).astype(np.intp)
+    pieces = np.maximum(np.ceil(np.hypot(*edges.T) / step), 1)
+    if pieces.sum() > _MOST:
+        rule = f"It must be no longer than {_MOST:,} steps of {step:g}."
+        check.refuse("ring", rule, f"a contour of length {np.hypot(*edges.T).sum():.3g}")
+    parts = pieces.astype(np.intp)
     edge = np.repeat(np.arange(len(corners)), parts)
     share = (np.arange(len(edge)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[edge]
     return np.asarray(corners[edge] + share[:, None] * edges[edge])

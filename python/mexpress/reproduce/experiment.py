@@ -2,16 +2,18 @@
 
 Examples
 --------
->>> Experiment("nothing", "prints nothing", "", False, lambda options: Outcome("", {}, [])).name
+>>> Experiment("nothing", "prints nothing", "", lambda options: Outcome("", {}, [])).name
 'nothing'
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from mexpress import _validation as check
 
 __all__ = ["Experiment", "Options", "Outcome"]
 
@@ -37,6 +39,11 @@ class Options:
     plots : bool
         Whether to draw figures.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If the seed or the number of threads, which MEXPRESS_NUM_THREADS may have, is none.
+
     Examples
     --------
     >>> Options(None, Path("out"), quick=True).seed
@@ -51,6 +58,10 @@ class Options:
     progress: bool = True
     plots: bool = True
 
+    def __post_init__(self) -> None:
+        check.count(self.seed, "seed", 0)
+        check.threads(self.threads)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -64,6 +75,9 @@ class Outcome:
         The same as JSON has it: plain numbers, lists and dicts, None for what is undefined.
     files : list of str
         Names of what was written into the output directory.
+    plots : dict of str to callable
+        Names of plots, and what draws each into a file whose path it takes: to be called last, when what the run
+        found is safe.
 
     Examples
     --------
@@ -74,6 +88,7 @@ class Outcome:
     report: str
     summary: dict[str, Any]
     files: list[str] = field(default_factory=list)
+    plots: Mapping[str, Callable[[Path], object]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,21 +102,18 @@ class Experiment:
     summary : str
         One line for its help.
     data : str
-        What it takes: "DIR", "FILE", or "" for nothing.
-    required : bool
-        Whether it cannot run without.
+        What it takes: "DIR", "FILE", or "" for nothing; without them it simulates.
     run : callable
         Makes it.
 
     Examples
     --------
     >>> run = lambda options: Outcome(f"seed {options.seed}", {})
-    >>> Experiment("seed", "says its seed", "", False, run).run(Options(None, Path("."), seed=3)).report
+    >>> Experiment("seed", "says its seed", "", run).run(Options(None, Path("."), seed=3)).report
     'seed 3'
     """
 
     name: str
     summary: str
     data: str
-    required: bool
     run: Callable[[Options], Outcome]

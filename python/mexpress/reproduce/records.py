@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress import files, reports
+from mexpress.reproduce.locks import Lock
 
 __all__ = ["Records"]
 
@@ -42,7 +43,8 @@ class Records:
     """A CSV file of the rows of tasks, to be opened in a ``with`` statement.
 
     A task's rows are written and flushed at once. Opening a file that exists keeps the tasks that are complete
-    and drops what a crash tore. The first line, a comment, says what run the rows are of.
+    and drops what a crash tore; a file that is whole is not touched until a task is added. The first line, a
+    comment, says what run the rows are of. As long as it is open, a file beside it, ``.lock``, keeps others out.
 
     Parameters
     ----------
@@ -58,7 +60,8 @@ class Records:
     Raises
     ------
     ValueError
-        If the file is none of records, or of another run or with other columns: rows are never mixed.
+        If the file is none of records, or of another run or with other columns: rows are never mixed. If
+        somebody else has opened it and would write over what we add.
     OSError
         If the file cannot be read or written.
 
@@ -78,10 +81,19 @@ class Records:
         run = {**run, "mexpress": reports.versions()["mexpress"]}
         self._head = [_MARK + json.dumps(run), ",".join([*columns, _SIZE])]
         self._tasks: dict[Key, list[Row]] = {}
-        if path.exists():
-            self._tasks = self._read(run)
-        self._rewrite(self._tasks)  # without what is torn
-        self._file: TextIO = path.open("a", encoding="utf-8", newline="")
+        self._file: TextIO | None = None
+        try:
+            self._lock = Lock(path.with_name(f"{path.name}.lock"))
+        except BlockingIOError:
+            rule = "One run at a time can write there: wait for the other, or choose another directory."
+            check.refuse("out", rule, f"{path}, which another run has opened")
+        try:
+            self._tasks, whole = self._read(run) if path.exists() else ({}, False)
+            if not whole:
+                self._rewrite(self._tasks)
+        except BaseException:
+            self._lock.release()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -114,6 +126,8 @@ class Records:
         if not added or any(len(row) != len(self._columns) or row[: self._width] != key for row in added):
             rule = f"They must have the columns {', '.join(self._columns)}, and one task's key."
             check.refuse("rows", rule, check.describe(added))
+        if self._file is None:
+            self._file = self._path.open("a", encoding="utf-8", newline="")
         self._file.write(_text(added))
         self._file.flush()
         self._tasks[key] = added
@@ -145,18 +159,22 @@ class Records:
         --------
         See the module.
         """
-        self._file.close()
-        if list(self._tasks) != sorted(self._tasks):
-            self._tasks = dict(sorted(self._tasks.items()))
-            self._rewrite(self._tasks)
+        try:
+            if self._file is not None:
+                self._file.close()
+            if list(self._tasks) != sorted(self._tasks):
+                self._tasks = dict(sorted(self._tasks.items()))
+                self._rewrite(self._tasks)
+        finally:
+            self._lock.release()
 
     def _rewrite(self, tasks: Mapping[Key, list[Row]]) -> None:
         with files.replacing(self._path) as file:
             file.write("".join(line + "\n" for line in self._head).encode())
             file.writelines(_text(rows).encode() for rows in tasks.values())
 
-    def _read(self, run: Mapping[str, Any]) -> dict[Key, list[Row]]:
-        """Return the tasks that are complete."""
+    def _read(self, run: Mapping[str, Any]) -> tuple[dict[Key, list[Row]], bool]:
+        """Return the tasks that are complete, and whether the file holds nothing else."""
         try:
             text = self._path.read_text(encoding="utf-8")
         except UnicodeDecodeError:
@@ -165,11 +183,13 @@ class Records:
         if not text.startswith(_MARK[: len(text)]):
             self._refuse("which holds something else")
         if len(lines) < len(self._head):  # killed while it was made
-            return {}
+            return {}, False
         self._check_run(lines[0].removeprefix(_MARK), run)
         if lines[1] != self._head[1]:
             self._refuse("whose columns are others")
-        return dict(self._complete(lines[2:]))
+        tasks = dict(self._complete(lines[2:]))
+        whole = len(self._head) + sum(map(len, tasks.values())) == len(lines) and text.endswith("\n")
+        return tasks, whole
 
     def _check_run(self, text: str, run: Mapping[str, Any]) -> None:
         try:

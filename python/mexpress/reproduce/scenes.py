@@ -13,7 +13,8 @@ A reader's directory holds a scene, or several, each known by the name of its fi
                                        ``"target_size": [800, 640], "homography": [[...], [...], [...]]}}``
 =====================================  ===============================================================================
 
-The kind is flat, rigid or deformable. Sizes are those of the masks or images if not given. The homography maps source
+Where there is a scenes.json, only the scenes that it names are read. The kind is flat, rigid or deformable. Sizes are
+those of the masks or images if not given; where a contour is known, the target's must be. The homography maps source
 pixels to target pixels, and is the truth where it is given: it also gives the target's contour if there is no other.
 
 Examples
@@ -25,8 +26,10 @@ Examples
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,12 +43,11 @@ from mexpress._validation import Floats
 from mexpress.images import read_image
 from mexpress.matches import read_matches, read_points
 from mexpress.placement import covered_region, lattice
-from mexpress.reproduce.contours import Rings, outlines, resampled
+from mexpress.reproduce.contours import Rings, outlines, rasterised, resampled
+from mexpress.simulation.scenes import KINDS
 
-__all__ = ["KINDS", "PROJECTIONS", "SIZES", "Problem", "Recorded", "Scene", "Simulated", "read_scenes"]
+__all__ = ["SIZES", "Problem", "Recorded", "Scene", "Simulated", "digest", "read_scenes"]
 
-KINDS = ("flat", "rigid", "deformable")
-PROJECTIONS = ("affine", "perspective")
 SIZES = (51, 103, 206)
 """Numbers of matches in the paper's experiment."""
 
@@ -57,6 +59,12 @@ _STEP = 2.0
 
 _TRUTH = 2000
 """Points at which a warp is compared to a homography."""
+
+_LARGEST = 2**28
+"""Pixels of an image that contours are compared in."""
+
+_INSIDE = 0.5
+"""Share of the matches that must lie in an image: of fewer its size is another image's."""
 
 _TABLES, _TEXTS, _IMAGES = (".csv", ".txt", ".npz", ".npy"), (".csv", ".txt"), (".png", ".jpg", ".jpeg")
 _PARTS = ("_source_contour", "_target_contour", "_source_mask", "_target_mask", "_source", "_target")
@@ -240,6 +248,36 @@ class Recorded:
         return Problem(*data, *truth, *contours, self.image_size, self.target_size)
 
 
+def digest(scenes: Sequence[Recorded]) -> str:
+    """Return what tells these scenes from others that give other trials: images and kinds do not count.
+
+    Parameters
+    ----------
+    scenes : sequence of Recorded
+        In order.
+
+    Returns
+    -------
+    str
+        Sixteen hexadecimal digits.
+
+    Examples
+    --------
+    >>> points = np.random.default_rng(0).uniform(0, 100, (60, 2))
+    >>> scenes = [Recorded(name, "", points, points, (), (), None, (100, 100)) for name in ("one", "two")]
+    >>> digest(scenes) == digest(scenes[:1])
+    False
+    """
+    parts = []
+    for scene in scenes:
+        arrays = [scene.source, scene.target, *scene.source_contour, *scene.target_contour]
+        arrays += [] if scene.homography is None else [scene.homography]
+        rings = len(scene.source_contour), len(scene.target_contour)
+        told = (scene.name, scene.image_size, scene.target_size, rings, [array.shape for array in arrays])
+        parts += [repr(told).encode(), *(array.astype("<f8").tobytes() for array in arrays)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
 def read_scenes(folder: Path) -> list[Recorded]:
     """Read all scenes of a directory, whose files this module describes.
 
@@ -276,8 +314,10 @@ def read_scenes(folder: Path) -> list[Recorded]:
         check.refuse("data", "It must be a directory of scenes.", str(folder))
     declared = _declared(folder / "scenes.json")
     tables = sorted(path for path in folder.iterdir() if path.suffix.lower() in _TABLES)
-    matches = [path for path in tables if not path.stem.endswith(_PARTS)]
-    if not matches:
+    matches = [
+        path for path in tables if path.stem in declared or not (declared or path.stem.endswith(_PARTS))
+    ]
+    if not matches and not declared:
         rule = "The directory must hold files of matches, such as NAME.csv."
         check.refuse("data", rule, f"{folder}, which has none")
     names = [path.stem for path in matches]
@@ -313,23 +353,37 @@ def _read(path: Path, told: Mapping[str, Any]) -> Recorded:
         check.refuse("data", f"A scene must have {_FEWEST} matches at least.", f"{len(source)} in {path}")
     masks = [_mask(path, side) for side in ("source", "target")]
     images = [_image(path, f"_{side}") for side in ("source", "target")]
-    homography = _homography(told.get("homography"), name)
     first, second = (
         _contour(path, side, mask) for side, mask in zip(("source", "target"), masks, strict=True)
     )
-    if first and not second and homography is not None:
-        second = tuple(_mapped(homography, ring) for ring in first)
-    if bool(first) != bool(second):
-        check.refuse("data", "A contour must be given in both images.", f"{name} with one of them")
-    size, target_size = (
-        _size(told.get(key), mask, image)
-        for key, mask, image in zip(("image_size", "target_size"), masks, images, strict=True)
-    )
-    if target_size is None:
-        shown = np.vstack([target, *second])
-        target_size = (float(shown[:, 0].max()) + 1, float(shown[:, 1].max()) + 1)
+    with _named(f"the scene {name}"):
+        homography = _homography(told.get("homography"), [source, *first])
+        if first and not second and homography is not None:
+            second = tuple(_mapped(homography, ring) for ring in first)
+        if bool(first) != bool(second):
+            check.refuse("data", "A contour must be given in both images.", "one of them")
+        size, target_size = (
+            _size(key, told.get(key), mask, image)
+            for key, mask, image in zip(("image_size", "target_size"), masks, images, strict=True)
+        )
+        if target_size is None and second:
+            rule = "The size of the target image must be known where a contour is: in scenes.json, or by an image."
+            check.refuse("target_size", rule, "none")
+        _check_inside("image_size", size, source, first)
+        _check_inside("target_size", target_size, target, second)
     pair = (images[0], images[1]) if images[0] is not None and images[1] is not None else None
-    return Recorded(name, kind, source, target, first, second, size, target_size, homography, pair)
+    shown = target_size or _extent(target)
+    return Recorded(name, kind, source, target, first, second, size, shown, homography, pair)
+
+
+@contextmanager
+def _named(what: str) -> Iterator[None]:
+    """Let messages say in what file or scene something is wrong."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(f"{str(error).removesuffix('.')}, in {what}.") from error
 
 
 def _beside(path: Path, part: str, endings: tuple[str, ...]) -> Path | None:
@@ -356,29 +410,62 @@ def _contour(path: Path, side: str, mask: NDArray[np.bool_] | None) -> Rings:
     """Return the rings of a contour or of a mask; none if there is neither."""
     found = _beside(path, f"_{side}_contour", _TEXTS)
     if found is not None:
-        return (resampled(read_points(found), _STEP),)
+        with _named(str(found)):
+            return (resampled(read_points(found), _STEP),)
     rings = () if mask is None else outlines(mask)
     if mask is not None and not rings:
         check.refuse("mask", "It must be nonzero somewhere.", f"the {side} mask of {path.stem}")
     return rings
 
 
-def _homography(value: Any, name: str) -> Floats | None:
+def _homography(value: Any, mapped: Sequence[Floats]) -> Floats | None:
+    """Return a homography that puts none of the points, nor what is between them, at infinity."""
     if value is None:
         return None
     matrix = check.matrix(value, "homography")
     if matrix.shape != (3, 3) or np.linalg.matrix_rank(matrix) < 3:
-        check.refuse("homography", "It must be an invertible (3, 3) matrix.", f"{value} for {name}")
+        check.refuse("homography", "It must be an invertible (3, 3) matrix.", str(value))
+    denominators = np.concatenate(mapped) @ matrix[2, :2] + matrix[2, 2]
+    if not (denominators > 0).all() and not (denominators < 0).all():
+        rule = "Its denominator must have the same sign at all matches and all over the contour."
+        check.refuse("homography", rule, f"{denominators.min():.3g} to {denominators.max():.3g}")
     return matrix
 
 
 def _size(
-    told: Any, mask: NDArray[np.bool_] | None, image: NDArray[Any] | None
+    name: str, told: Any, mask: NDArray[np.bool_] | None, image: NDArray[Any] | None
 ) -> tuple[float, float] | None:
-    shown = mask if mask is not None else image
-    if told is not None or shown is None:
-        return check.image_size(told)
-    return float(shown.shape[1]), float(shown.shape[0])
+    """Return an image's size, which all that tells it must tell alike."""
+    known = [(float(shown.shape[1]), float(shown.shape[0])) for shown in (mask, image) if shown is not None]
+    declared = check.image_size(told)
+    if declared is not None:
+        known.append(declared)
+    if len(set(known)) > 1:
+        sizes = " and ".join(f"{width:g} x {height:g}" for width, height in known)
+        check.refuse(name, "Mask, image and scenes.json must have the same size.", sizes)
+    return known[0] if known else None
+
+
+def _check_inside(name: str, size: tuple[float, float] | None, matches: Floats, rings: Rings) -> None:
+    """Refuse a size that is not that of the matches' image, and a contour without a pixel in the image."""
+    width, height = size or _extent(np.vstack([matches, *rings]))
+    inside = float(((matches > -1) & (matches < (width + 1, height + 1))).all(axis=1).mean())
+    if size is not None and inside < _INSIDE:
+        rule = "Most matches must lie in the image."
+        check.refuse(name, rule, f"{width:g} x {height:g}, with {inside:.0%} of the matches inside")
+    if rings and width * height > _LARGEST:
+        rule = f"An image that has a contour must have {_LARGEST:,} pixels at most."
+        check.refuse(name, rule, f"{width:g} x {height:g}")
+    if rings and not rasterised(rings, (width, height)).any():
+        check.refuse(
+            "contour", f"It must cover a pixel of the image, {width:g} x {height:g}.", "one that does not"
+        )
+
+
+def _extent(points: Floats) -> tuple[float, float]:
+    """Size of an image that ends with the points; of one pixel at least."""
+    right, bottom = np.maximum(points.max(axis=0), 0) + 1
+    return float(right), float(bottom)
 
 
 def _mapped(homography: Floats, points: Floats) -> Floats:

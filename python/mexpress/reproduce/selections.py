@@ -74,6 +74,17 @@ class Curves:
         spread = np.where(known & enough, curve - mean, 0.0)
         return mean, np.sqrt((spread**2).sum(axis=0) / number)
 
+    def lowest(self, name: str) -> int | None:
+        """Return the count where a criterion's mean is smallest; None if too few problems have a score at any.
+
+        Examples
+        --------
+        >>> Curves(np.array([3, 4]), {"FIT": np.array([[9.0, 5.0]])}).lowest("FIT")
+        4
+        """
+        mean = self.mean(name)[0]
+        return None if np.isnan(mean).all() else int(self.counts[np.nanargmin(mean)])
+
     def cell(self, name: str) -> Cell:
         """Return mean and standard deviation of what a criterion selects, over the problems; NaN without any.
 

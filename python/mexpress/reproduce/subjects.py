@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.clouds import read_cloud
-from mexpress.simulation import sheets
+from mexpress.simulation import Sheet
 
 __all__ = ["Subject", "read_subject", "simulated_depth", "simulated_embedding"]
 
@@ -32,8 +32,11 @@ _HOLES, _HOLE = 6, (0.03, 0.06)
 _DEPTH_NOISE = 0.0015
 """Standard deviation per squared metre of depth, in metres: that of structured light."""
 
-_SHEET, _SHEET_NOISE = 4, 0.004
-"""Which of the simulated sheets, and the noise of its points in each direction; the sheet is 1.6 wide."""
+_BEND, _WAVES, _RULINGS = 2.0, 3, 60
+"""How far the sheet's normal swings in radians, in how many waves, and about how many rulings."""
+
+_SHEET_NOISE = 0.004
+"""Standard deviation of the sheet's points in each direction; the sheet is 1.6 wide."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,8 +197,18 @@ def simulated_embedding(number: int, seed: int) -> Subject:
     """
     number = check.count(number, "number", 4)
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(9,)))
-    sheet = sheets(seed)[_SHEET]
+    sheet = _sheet(random)
     where = random.uniform(-0.5, 0.5, (number, 2)) * (sheet.width, sheet.height)
     grid = sheet.grid()
     noisy = sheet(where) + _SHEET_NOISE * random.normal(size=(number, 3))
     return Subject("simulated bent sheet", where, noisy, None, None, grid, sheet(grid))
+
+
+def _sheet(random: np.random.Generator) -> Sheet:
+    """Return a sheet that bends slowly, as paper on a desk does, about parallel rulings."""
+    turn, *phases = random.uniform(0, 2 * np.pi, 1 + _WAVES)
+    across = np.linspace(-1, 1, _RULINGS)
+    time = np.linspace(0, 1, _RULINGS + 1)
+    waves = [np.cos(np.pi * (k + 1) * time + phase) / (k + 1) for k, phase in enumerate(phases)]
+    normal = np.sum(waves, axis=0)
+    return Sheet(across, across, np.diff(normal) * _BEND / np.ptp(normal), turn)

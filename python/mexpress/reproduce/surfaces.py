@@ -13,15 +13,14 @@ Examples
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mexpress import reports
+from mexpress import plotting, reports
 from mexpress._validation import Floats
 from mexpress.designs import fit_surface
 from mexpress.liftings import nested_basis
@@ -30,7 +29,7 @@ from mexpress.reproduce.subjects import Subject, read_subject, simulated_depth, 
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.surfaces import Surface
 
-__all__ = ["CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10", "Fit", "true_errors"]
+__all__ = ["ALIKE", "CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10", "Fit", "grouped", "true_errors"]
 
 CRITERIA = (
     *("FIT", "AIC", "BIC", "GCV", "CMPRESS", "KF10", "ER01", "ER05", "ER10"),
@@ -39,6 +38,9 @@ CRITERIA = (
 
 CRITERION = "ER10"
 """Whose choice the plots stress: the paper's advice."""
+
+ALIKE = 0.08
+"""Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
 
 TRUTH = "TRUTH"
 """The name in tables and plots of what no criterion sees."""
@@ -193,33 +195,77 @@ def _stressed(selection: SurfaceSelection) -> SurfaceSelection:
     return replace(selection, criterion=CRITERION, surface=surface)
 
 
-def _run(name: str, kind: str, draw: Callable[[str, _Sweep, Path], list[str]], options: Options) -> Outcome:
+def _run(name: str, kind: str, panels: bool, options: Options) -> Outcome:
     sweep = _sweep(kind, options)
     reports.write_curves(options.out / f"{name}.csv", sweep.shown)
-    files = [f"{name}.csv"]
-    if options.plots:
-        files += draw(name, sweep, options.out)
-    return Outcome(_report(sweep, options.data), _summary(sweep), files)
-
-
-def _draw_arrival(name: str, sweep: _Sweep, out: Path) -> list[str]:
-    from mexpress import plotting  # noqa: PLC0415  an extra
-
-    subject, files = sweep.subject, [f"{name}_curves.png", f"{name}_control_points.png"]
-    plotting.plot_selection(sweep.shown, out / files[0], unit=subject.unit)
-    plotting.plot_control_points(
-        sweep.selection, out / files[1], image_size=subject.image_size, unit=subject.unit
-    )
-    return files
-
-
-def _draw_fits(name: str, sweep: _Sweep, out: Path) -> list[str]:
-    from mexpress.plotting.panels import plot_fits  # noqa: PLC0415  an extra
-
+    report = _report(sweep, options.data)
+    if not panels:
+        return Outcome(report, _summary(sweep), [f"{name}.csv"], _arrival(name, sweep))
     if sweep.subject.dimension not in (1, 3):
-        return []
-    plot_fits(sweep.subject, sweep.fits(), out / f"{name}.png")
-    return [f"{name}.png"]
+        return Outcome(report, _summary(sweep), [f"{name}.csv"])
+    fits = sweep.fits()
+    plots = {f"{name}.png": lambda path: _draw_fits(sweep.subject, fits, path)}
+    return Outcome(report + (_alike(fits) if options.plots else ""), _summary(sweep), [f"{name}.csv"], plots)
+
+
+def _arrival(name: str, sweep: _Sweep) -> dict[str, Callable[[Path], object]]:
+    subject = sweep.subject
+    look: dict[str, Any] = {"image_size": subject.image_size, "unit": subject.unit}
+    return {
+        f"{name}_curves.png": lambda path: plotting.plot_selection(sweep.shown, path, unit=subject.unit),
+        f"{name}_control_points.png": lambda path: plotting.plot_control_points(
+            sweep.selection, path, **look
+        ),
+    }
+
+
+def _draw_fits(subject: Subject, fits: Sequence[Fit], path: Path) -> None:
+    from mexpress.plotting.panels import plot_fits  # noqa: PLC0415  it imports this module
+
+    plot_fits(subject, fits, path)
+
+
+def grouped(fits: Iterable[Fit]) -> list[list[Fit]]:
+    """Put surfaces together that look the same, those with the fewest control points first.
+
+    Parameters
+    ----------
+    fits : iterable of Fit
+        In any order.
+
+    Returns
+    -------
+    list of list of Fit
+        In each, numbers of control points that exceed the first one by less than `ALIKE`.
+
+    Examples
+    --------
+    >>> corners = [[0, 0], [1, 0], [0, 1]]
+    >>> plane = fit_surface(corners, [1, 2, 3], corners)
+    >>> fits = [Fit((name,), count, 0.0, 0.0, plane) for name, count in (("FIT", 27), ("ER05", 26), ("ER10", 9))]
+    >>> [[fit.count for fit in group] for group in grouped(fits)]
+    [[9], [26, 27]]
+    """
+    groups: list[list[Fit]] = []
+    for fit in sorted(fits, key=lambda fit: fit.count):
+        if groups and fit.count < (1 + ALIKE) * groups[-1][0].count:
+            groups[-1].append(fit)
+        else:
+            groups.append([fit])
+    return groups
+
+
+def _alike(fits: Sequence[Fit]) -> str:
+    """Return which surfaces share a panel of the plot."""
+    groups = [group for group in grouped(fits) if len(group) > 1]
+    told = (
+        f"\nThe one with {group[0].count} is drawn for "
+        + ", ".join(f"{name} {fit.count}" for fit in group for name in fit.names)
+        + "."
+        for group in groups
+    )
+    rule = f"\n\nSurfaces whose numbers of control points differ by less than {ALIKE:.0%} share a panel of the plot."
+    return "".join([rule, *told]) if groups else ""
 
 
 def _report(sweep: _Sweep, data: Path | None) -> str:
@@ -283,19 +329,15 @@ def _choice(sweep: _Sweep, count: int | None) -> Mapping[str, float | None]:
     if count is None:
         return {"count": None, "FIT": None, "true_rms": None}
     fit, truth = sweep.at(count)
-    return {"count": count, "FIT": fit, "true_rms": None if math.isnan(truth) else truth}
+    return {"count": count, "FIT": fit, "true_rms": truth}
 
 
-def _figure(
-    number: int, summary: str, kind: str, draw: Callable[[str, _Sweep, Path], list[str]]
-) -> Experiment:
+def _figure(number: int, summary: str, kind: str, panels: bool) -> Experiment:
     name = f"figure{number}"
-    return Experiment(name, summary, "FILE", False, lambda options: _run(name, kind, draw, options))
+    return Experiment(name, summary, "FILE", lambda options: _run(name, kind, panels, options))
 
 
-FIGURE7 = _figure(7, "criteria and control points of surfaces fitted to a depth map", "depth", _draw_arrival)
-FIGURE8 = _figure(8, "the surface that each criterion selects for a depth map", "depth", _draw_fits)
-FIGURE9 = _figure(
-    9, "criteria and control points of surfaces fitted to an embedding", "embedding", _draw_arrival
-)
-FIGURE10 = _figure(10, "the surface that each criterion selects for an embedding", "embedding", _draw_fits)
+FIGURE7 = _figure(7, "criteria and control points of surfaces fitted to a depth map", "depth", False)
+FIGURE8 = _figure(8, "the surface that each criterion selects for a depth map", "depth", True)
+FIGURE9 = _figure(9, "criteria and control points of surfaces fitted to an embedding", "embedding", False)
+FIGURE10 = _figure(10, "the surface that each criterion selects for an embedding", "embedding", True)

@@ -7,9 +7,8 @@ All three read the same rows, one for each configuration, number of corresponden
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, astuple
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from mexpress.matches import write_rows
 from mexpress.plotting import reproduction as plotting
 from mexpress.reproduce.claims import claims
 from mexpress.reproduce.experiment import Experiment, Options, Outcome
-from mexpress.reproduce.paper import CRITERIA, SIZES, Cell
+from mexpress.reproduce.paper import CRITERIA, SIZES
 from mexpress.reproduce.records import Records
 from mexpress.reproduce.selections import Comparison, Curves, compared, table
 from mexpress.selection import WarpSelection, largest_count, select_warp
@@ -36,7 +35,7 @@ _KEY: dict[str, type[int]] = {"source": int, "target": int, "view": int, "n": in
 _QUICK = {15: (7, 1), 30: (11, 1), 150: (31, 4), 500: (59, 8)}
 """By number of correspondences: a quick run takes every so many configurations, and numbers of control points."""
 
-Task = tuple[Configuration, int]
+Task = tuple[Configuration, tuple[int, ...]]
 Row = tuple[float, ...]
 
 
@@ -104,16 +103,19 @@ def _test_errors(selection: WarpSelection, matches: Correspondences) -> list[flo
     return errors
 
 
+def _measured(configuration: Configuration, sizes: Mapping[int, int], seed: int) -> list[list[Row]]:
+    """Measure with several numbers of correspondences, each with its stride, in one process: they share cameras."""
+    return [measure(configuration, n, stride, seed=seed) for n, stride in sizes.items()]
+
+
 def _tasks(quick: bool) -> list[Task]:
-    """Return configurations one after the other, the costly numbers of correspondences first in each."""
-    every = simulation.configurations()
-    strides = {n: stride for n, (stride, _) in _QUICK.items()} if quick else dict.fromkeys(SIZES, 1)
-    return [
-        (configuration, n)
-        for k, configuration in enumerate(every)
-        for n in sorted(SIZES, reverse=True)
-        if k % strides[n] == 0
-    ]
+    """Return configurations one after the other, with their numbers of correspondences, the costly ones first."""
+    strides = {n: stride if quick else 1 for n, (stride, _) in _QUICK.items()}
+    tasks = []
+    for k, configuration in enumerate(simulation.configurations()):
+        sizes = tuple(n for n in sorted(SIZES, reverse=True) if k % strides[n] == 0)
+        tasks += [(configuration, sizes)] if sizes else []
+    return tasks
 
 
 def _computed(options: Options) -> dict[int, Curves]:
@@ -122,17 +124,22 @@ def _computed(options: Options) -> dict[int, Curves]:
     columns = {**_KEY, "count": int, **dict.fromkeys(_NAMES, float)}
     strides = {n: stride if options.quick else 1 for n, (_, stride) in _QUICK.items()}
     with Records(options.out / _CURVES, run, columns, len(_KEY)) as records:
-        todo = [
-            (configuration, n, strides[n])
-            for configuration, n in _tasks(options.quick)
-            if (configuration.source, configuration.target, configuration.view, n) not in records
-        ]
+        todo = []
+        for configuration, sizes in _tasks(options.quick):
+            place = (configuration.source, configuration.target, configuration.view)
+            left = {n: strides[n] for n in sizes if (*place, n) not in records}
+            todo += [(configuration, left)] if left else []
+
+        def add(_: int, found: list[list[Row]]) -> None:
+            for rows in found:
+                records.add(rows)
+
         map_problems(
-            measure,
+            _measured,
             todo,
             workers=options.threads,
             progress=options.progress,
-            on_result=lambda _, rows: records.add(rows),
+            on_result=add,
             seed=options.seed,
         )
         return _curves(records.table())
@@ -191,14 +198,11 @@ def _cell_row(comparison: Comparison) -> tuple[object, ...]:
 
 
 def _cell_summary(comparison: Comparison) -> dict[str, Any]:
-    def plain(cell: Cell) -> dict[str, float | None]:
-        return {name: None if math.isnan(value) else value for name, value in asdict(cell).items()}
-
     return {
         "criterion": comparison.name,
         "n": comparison.n,
-        "ours": plain(comparison.ours),
-        "paper": plain(comparison.paper),
+        "ours": asdict(comparison.ours),
+        "paper": asdict(comparison.paper),
         "within": comparison.within,
     }
 
@@ -215,30 +219,32 @@ def _described(curves: Mapping[int, Curves]) -> str:
 def _figure2(options: Options) -> Outcome:
     curves = _computed(options)
     lines = [_described(curves), "Every criterion's mean curve has its minimum at so many control points:\n"]
-    lowest = {
-        name: {str(n): int(of.counts[np.nanargmin(of.mean(name)[0])]) for n, of in curves.items()}
-        for name in _NAMES
-    }
+    lowest = {name: {str(n): of.lowest(name) for n, of in curves.items()} for name in _NAMES}
     lines += ["".join(["        ", *(f"{f'n = {n}':>9}" for n in curves)])]
-    lines += ["".join([f"{name:8}", *(f"{count:9}" for count in of.values())]) for name, of in lowest.items()]
-    drawn = _drawn(options, "figure2.png", lambda path: plotting.plot_mean_curves(curves, path))
+    for name, of in lowest.items():
+        cells = ("-" if count is None else str(count) for count in of.values())
+        lines.append("".join([f"{name:8}", *(f"{cell:>9}" for cell in cells)]))
+    with (options.out / "figure2.csv").open("w", encoding="utf-8", newline="\n") as file:
+        write_rows(file, ("n", "count", "criterion", "mean", "std"), _mean_rows(curves))
     summary = {"problems": _problems(curves), "lowest_mean": lowest}
-    return Outcome("\n".join(lines), summary, [_CURVES, *drawn])
+    plots = {"figure2.png": lambda path: plotting.plot_mean_curves(curves, path)}
+    return Outcome("\n".join(lines), summary, [_CURVES, "figure2.csv"], plots)
+
+
+def _mean_rows(curves: Mapping[int, Curves]) -> Iterator[tuple[object, ...]]:
+    """Yield what figure 2 draws."""
+    for n, of in curves.items():
+        for name in _NAMES:
+            columns = (of.counts.tolist(), *(column.tolist() for column in of.mean(name)))
+            yield from ((n, count, name, mean, std) for count, mean, std in zip(*columns, strict=True))
 
 
 def _figure3(options: Options) -> Outcome:
     curves = _computed(options)
     comparisons = compared(curves)
-    drawn = _drawn(options, "figure3.png", lambda path: plotting.plot_selections(comparisons, path))
+    plots = {"figure3.png": lambda path: plotting.plot_selections(comparisons, path)}
     summary = {"problems": _problems(curves), "cells": [_cell_summary(c) for c in comparisons]}
-    return Outcome(f"{_described(curves)}\n\n{table(comparisons)}", summary, [_CURVES, *drawn])
-
-
-def _drawn(options: Options, name: str, draw: Callable[[Path], object]) -> list[str]:
-    if not options.plots:
-        return []
-    draw(options.out / name)
-    return [name]
+    return Outcome(f"{_described(curves)}\n\n{table(comparisons)}", summary, [_CURVES], plots)
 
 
 _ON_SHEETS = "on 450 simulated pairs of bent sheets"
@@ -247,16 +253,14 @@ TABLE1 = Experiment(
     "table1",
     f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table",
     "",
-    False,
     _table1,
 )
 FIGURE2 = Experiment(
-    "figure2", f"mean curves of the criteria {_ON_SHEETS}; needs no time after table1", "", False, _figure2
+    "figure2", f"mean curves of the criteria {_ON_SHEETS}; needs no time after table1", "", _figure2
 )
 FIGURE3 = Experiment(
     "figure3",
     f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1",
     "",
-    False,
     _figure3,
 )

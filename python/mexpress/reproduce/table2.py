@@ -24,13 +24,15 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress.batch import map_problems
 from mexpress.matches import write_rows
+from mexpress.plotting import scenes as plotting
 from mexpress.reproduce.choices import BEST, COLUMNS, KEY, Cell, Choice, Table, cells, choices, losses, table
 from mexpress.reproduce.experiment import Experiment, Options, Outcome
 from mexpress.reproduce.findings import findings
 from mexpress.reproduce.records import Records
-from mexpress.reproduce.scenes import KINDS, PROJECTIONS, Recorded, Scene, Simulated, read_scenes
+from mexpress.reproduce.scenes import Recorded, Scene, Simulated, digest, read_scenes
 from mexpress.reproduce.transfer import Trial, trial
 from mexpress.selection import largest_count
+from mexpress.simulation.scenes import KINDS, PROJECTIONS
 
 __all__ = ["FIGURE4", "FIGURE5", "FIGURE6", "TABLE2"]
 
@@ -45,7 +47,7 @@ DRAWS, QUICK_DRAWS = 10, 5
 FIGURE_MATCHES = 103
 """So many matches in a figure, or what is next below."""
 
-NOTES = """l: number of control points; FIT: pixels; mean±std over the draws of matches and noise.
+NOTES = """l: number of control points; FIT: pixels; mean±std over the draws of matches and noise, if there are several.
 BEST: the number with the best Jaccard index, or else the least transfer error; no criterion knows it.
 ! in some draw the denominator vanishes on the contour: nothing is transferred, and the Jaccard index counts as 0."""
 
@@ -74,31 +76,31 @@ def _table2(options: Options) -> Outcome:
     kinds = {scene.name: scene.kind for scene in scenes}
     projections = {scene.name: scene.projection for scene in scenes if isinstance(scene, Simulated)}
     order = {scene.name: k for k, scene in enumerate(scenes)}
-    found = sorted(
-        cells(choices(_rows(options, scenes))), key=lambda cell: (order[cell.scene], cell.form, cell.n)
+    made = sorted(
+        choices(_rows(options, scenes)), key=lambda choice: (order[choice.scene], choice.form, choice.n)
     )
+    found = cells(made)
     seen = findings(found, kinds, projections)
     with (options.out / "table2.csv").open("w", encoding="utf-8", newline="\n") as file:
         names = [field.name for field in fields(Cell)]
         write_rows(file, names, ([getattr(cell, name) for name in names] for cell in found))
-    files = ["table2_rows.csv", "table2.csv"]
-    if options.plots:
-        from mexpress.plotting.scenes import plot_choices  # noqa: PLC0415  an extra
-
-        plot_choices(found, SHOWN, options.out / "table2.png")
-        files.append("table2.png")
-    notes = NOTES + ("\n" + NO_CONTOUR if any(math.isnan(cell.jaccard) for cell in found) else "")
-    parts = [
-        table(found, SHOWN),
-        notes,
-        losses(found, kinds, SHOWN),
-        "\n".join(map(str, seen)),
-    ]
+    parts = [_explained(found), losses(made, kinds, SHOWN), "\n".join(claim.text for claim in seen)]
     summary = {
-        "cells": [_plain(asdict(cell)) for cell in found],
+        "cells": [asdict(cell) for cell in found],
         "findings": [asdict(finding) for finding in seen],
     }
-    return Outcome("\n\n".join(part for part in parts if part), summary, files)
+    return Outcome(
+        "\n\n".join(part for part in parts if part),
+        summary,
+        ["table2_rows.csv", "table2.csv"],
+        {"table2.png": lambda path: plotting.plot_choices(found, SHOWN, path)},
+    )
+
+
+def _explained(found: Sequence[Cell]) -> str:
+    """The table, and what its signs mean."""
+    notes = [table(found, SHOWN) + "\n", NOTES]
+    return "\n".join([*notes, *([NO_CONTOUR] if any(math.isnan(cell.jaccard) for cell in found) else [])])
 
 
 def _scenes(options: Options) -> list[Scene]:
@@ -109,7 +111,8 @@ def _scenes(options: Options) -> list[Scene]:
 
 def _rows(options: Options, scenes: Sequence[Scene]) -> Table:
     """Run the trials that the output directory does not hold yet; return the rows of all."""
-    data = None if options.data is None else str(options.data.resolve())
+    recorded = [scene for scene in scenes if isinstance(scene, Recorded)]
+    data = digest(recorded) if recorded else None
     run = {"experiment": "table2", "data": data, "quick": options.quick, "seed": options.seed}
     tasks = _tasks(options, scenes)
     with Records(options.out / "table2_rows.csv", run, COLUMNS, KEY) as records:
@@ -168,17 +171,12 @@ def _figure(name: str, kind: str, options: Options) -> Outcome:
         )
         for form in FORMS
     }
-    files = [f"{name}.csv"]
-    _write_curves(options.out / files[0], trials)
-    if options.plots:
-        from mexpress.plotting.scenes import plot_scene  # noqa: PLC0415  an extra
-
-        images = scene.images if isinstance(scene, Recorded) else None
-        plot_scene(trials, f"{scene.name}, {n} matches", images, options.out / f"{name}.png")
-        files.append(f"{name}.png")
+    _write_curves(options.out / f"{name}.csv", trials)
+    images = scene.images if isinstance(scene, Recorded) else None
     found = cells(choice for form, judged in trials.items() for choice in _chosen(scene.name, form, judged))
-    summary = {"scene": scene.name, "n": n, "cells": [_plain(asdict(cell)) for cell in found]}
-    return Outcome(table(found, SHOWN), summary, files)
+    summary = {"scene": scene.name, "n": n, "cells": [asdict(cell) for cell in found]}
+    plots = {f"{name}.png": lambda path: plotting.plot_scene(trials, scene.name, images, path)}
+    return Outcome(_explained(found), summary, [f"{name}.csv"], plots)
 
 
 def _scene(kind: str, options: Options) -> Scene:
@@ -212,37 +210,27 @@ def _write_curves(path: Path, trials: Mapping[str, Trial]) -> None:
         write_rows(file, ["form", "count", *names], rows)
 
 
-def _plain(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON knows neither NaN nor infinity."""
-    known = (not isinstance(value, float) or math.isfinite(value) for value in numbers.values())
-    return {name: value if fine else None for (name, value), fine in zip(numbers.items(), known, strict=True)}
-
-
 TABLE2 = Experiment(
     "table2",
     "what criteria select in flat, rigid and deformable scenes, and how well it transfers a contour",
     "DIR",
-    False,
     _table2,
 )
 FIGURE4 = Experiment(
     "figure4",
     "contours transferred in a flat scene, and the criteria",
     "DIR",
-    False,
     lambda options: _figure("figure4", "flat", options),
 )
 FIGURE5 = Experiment(
     "figure5",
     "contours transferred in a rigid scene, and the criteria",
     "DIR",
-    False,
     lambda options: _figure("figure5", "rigid", options),
 )
 FIGURE6 = Experiment(
     "figure6",
     "contours transferred in a deformable scene, and the criteria",
     "DIR",
-    False,
     lambda options: _figure("figure6", "deformable", options),
 )

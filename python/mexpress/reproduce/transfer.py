@@ -18,6 +18,7 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.placement import lattice
+from mexpress.reproduce import paper
 from mexpress.reproduce.contours import Mask, jaccard, rasterised, transferred
 from mexpress.reproduce.scenes import Problem
 from mexpress.selection import WarpSelection, select_warp
@@ -25,13 +26,10 @@ from mexpress.warps import Warp
 
 __all__ = ["CRITERIA", "MEASURES", "Trial", "trial"]
 
-CRITERIA = (
-    *("FIT", "PRESS", "CMPRESS", "KF10", "KF05", "ER01", "ER05", "ER10"),
-    *("NN02PTS", "NN05PTS", "NN10PTS", "NN01PCT", "NN05PCT", "NN10PCT"),
-)
+CRITERIA = ("FIT", *paper.CRITERIA)
 """Of the paper's tables."""
 
-MEASURES = ("JACCARD", "TRANSFER", "FOLDED", "VANISHING")
+MEASURES = ("JACCARD", "TRANSFER", "LOST", "FOLDED", "VANISHING")
 """What a `Trial` adds to the criteria, under the names that files have."""
 
 _SAMPLES = 1000
@@ -49,10 +47,12 @@ class Trial:
     selection : WarpSelection
         The warps and the criteria, for k numbers of control points.
     jaccard : (k,) array
-        Jaccard index of the transferred contour; 0 where the denominator vanishes on it.
+        Jaccard index of the transferred contour; 0 where it is lost.
     transfer : (k,) array
         Root mean square distance, in pixels, of unseen points from where they should be mapped to; infinite where
         the denominator vanishes at one.
+    lost : (k,) array of bool
+        Where the denominator vanishes on the contour, so that nothing is transferred.
     folded, vanishing : (k,) array
         Share of the region of the matches where the warp folds, and where its denominator vanishes.
 
@@ -65,20 +65,21 @@ class Trial:
     selection: WarpSelection
     jaccard: Floats
     transfer: Floats
+    lost: Mask
     folded: Floats
     vanishing: Floats
 
     def measures(self) -> dict[str, Floats]:
-        """Return the arrays by the names in `MEASURES`.
+        """Return the arrays as numbers, by the names in `MEASURES`.
 
         Examples
         --------
         >>> from mexpress.reproduce.scenes import Simulated
         >>> problem = Simulated("flat", "affine").draw(51, seed=0)
         >>> list(trial(problem, False, [3], criteria=["FIT"]).measures())
-        ['JACCARD', 'TRANSFER', 'FOLDED', 'VANISHING']
+        ['JACCARD', 'TRANSFER', 'LOST', 'FOLDED', 'VANISHING']
         """
-        arrays = (self.jaccard, self.transfer, self.folded, self.vanishing)
+        arrays = (self.jaccard, self.transfer, self.lost.astype(np.float64), self.folded, self.vanishing)
         return dict(zip(MEASURES, arrays, strict=True))
 
 
@@ -129,15 +130,18 @@ def trial(
     )
     warps = [selection.warps.get(int(count)) for count in selection.counts]
     truth = rasterised(problem.target_contour, problem.target_size) if problem.target_contour else None
-    rows = [_judged(warp, problem, truth) if warp else (math.nan,) * len(MEASURES) for warp in warps]
-    return Trial(problem, selection, *np.array(rows).T)
+    unknown = (math.nan, math.nan, 0.0, math.nan, math.nan)
+    rows = [_judged(warp, problem, truth) if warp else unknown for warp in warps]
+    overlap, error, lost, folded, vanishing = np.array(rows).T
+    return Trial(problem, selection, overlap, error, lost == 1, folded, vanishing)
 
 
 def _judged(warp: Warp, problem: Problem, truth: Mask | None) -> tuple[float, ...]:
     """Return the measures of a warp."""
-    overlap, error = math.nan, math.nan
+    overlap, error, lost = math.nan, math.nan, False
     if truth is not None:
         rings = transferred(warp, problem.source_contour)
+        lost = rings is None
         overlap = 0.0 if rings is None else jaccard(truth, rings, problem.target_size)
     if len(problem.unseen_source):
         with np.errstate(invalid="ignore", over="ignore"):
@@ -146,4 +150,4 @@ def _judged(warp: Warp, problem: Problem, truth: Mask | None) -> tuple[float, ..
     inside = lattice(warp.domain, _SAMPLES)
     vanishes = warp.vanishes(inside)
     folds = warp.folds(inside) & ~vanishes
-    return overlap, error, float(folds.mean()), float(vanishes.mean())
+    return overlap, error, float(lost), float(folds.mean()), float(vanishes.mean())

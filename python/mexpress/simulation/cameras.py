@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
 if TYPE_CHECKING:
-    from mexpress.simulation.sheets import Sheet
+    from mexpress.simulation.developable import Sheet
 
 __all__ = ["Camera"]
 
@@ -28,14 +28,17 @@ SENSOR = 35.0
 FOCAL = (20.0, 50.0)
 """Focal lengths in millimetres."""
 
-TILT = (1.0, 0.5)
+TILT = (0.8, 0.3)
 """Largest and least angle in radians between the optical axis and the sheet's mean normal."""
 
 ROLL = 0.1
 """Largest angle in radians by which the sheet is turned in the image."""
 
-GRAZING = 0.15
+GRAZING = 0.2
 """Least cosine between the sheet's normals and the rays that see it."""
+
+FILL = 1.6
+"""By how much a camera is nearer than the nearest that has all of a sheet in view, so that the sheet fills the view."""
 
 DRAWS = 100
 """Random poses that are tried, ever nearer to the frontal one."""
@@ -141,8 +144,8 @@ def pixels(focal: float) -> float:
     return focal * IMAGE_SIZE[0] / SENSOR
 
 
-def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False) -> Camera:
-    """The nearest camera of this direction that has all of a sheet in view, and it in the middle."""
+def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False, fill: float = 1.0) -> Camera:
+    """The nearest camera of this direction that has all of a sheet in view, in the middle; nearer by `fill`."""
     seen = sheet.samples[0] @ rotation.T
     depth = np.zeros(len(seen)) if affine else seen[:, 2]
     centres, distances = [], []
@@ -153,21 +156,28 @@ def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False) -> 
         low = (-seen[:, axis] - slope * depth).max()
         centres.append((low - high) / 2)
         distances.append((low + high) / 2 / slope)
-    return Camera(focal, rotation, np.array([*centres, max(distances)]), affine)
+    return Camera(focal, rotation, np.array([*centres, max(distances) / fill]), affine)
 
 
 def facing(sheet: Sheet, camera: Camera) -> float:
-    """Least cosine between the sheet's normals and the rays that see it."""
+    """Least cosine between the sheet's normals and the rays that see it; -1 if a part is not ahead of the camera."""
     points, normals = sheet.samples
+    if not camera.affine and (points @ camera.rotation[2] + camera.translation[2]).min() <= 0:
+        return -1.0
     return float((normals * camera.rays(points)).sum(axis=1).min())
 
 
 def visible(sheet: Sheet, camera: Camera) -> bool:
-    """Whether the camera sees all of the sheet, nowhere grazing.
+    """Whether nothing hides any part of the sheet, and the camera sees it nowhere grazing.
 
     A map that is one-to-one near every point of a disk, and on the disk's border, is one-to-one.
     """
     return facing(sheet, camera) > GRAZING and is_simple(camera(sheet(sheet.border())))
+
+
+def in_frame(images: Floats) -> NDArray[np.bool_]:
+    """Which points (k, 2) are in the image, (k,)."""
+    return np.asarray(((images >= 0) & (images <= IMAGE_SIZE)).all(axis=1))
 
 
 def is_simple(polygon: Floats) -> bool:
@@ -185,10 +195,12 @@ def is_simple(polygon: Floats) -> bool:
     return not bool(crossing.any())
 
 
-def random_camera(sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False) -> Camera:
-    """A camera that sees the whole sheet from a random direction; from the front, if it has to be."""
+def random_camera(
+    sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False, fill: float = 1.0
+) -> Camera:
+    """A camera that sees a sheet, nowhere hidden, from a random direction; from the front, if it has to be."""
     for share in np.sqrt(np.linspace(1, 0, DRAWS)):
-        camera = look(sheet, _random_rotation(rng, share), focal, affine)
+        camera = look(sheet, _random_rotation(rng, share), focal, affine, fill)
         if visible(sheet, camera):
             break
     return camera

@@ -10,8 +10,8 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.simulation.cameras import FOCAL, random_camera
-from mexpress.simulation.configurations import Correspondences, match, stream
-from mexpress.simulation.sheets import HEIGHT, WIDTH, Sheet, sheets
+from mexpress.simulation.developable import HEIGHT, WIDTH, Sheet, sheets
+from mexpress.simulation.pairs import Correspondences, match, stream
 
 __all__ = ["scene"]
 
@@ -61,8 +61,8 @@ def scene(kind: str, projection: str, n: int, noise: float = 1.0, seed: int = 0)
     flat = Sheet(np.zeros(1), np.zeros(1), np.zeros(1))
     first, second = sheets(seed)[4:6]
     pair = {"flat": (flat, flat), "rigid": (first, first), "deformable": (first, second)}[kind]
-    views = [(sheet, random_camera(sheet, focal, rng, affine)) for sheet in pair]
-    return match(views, n, noise, stream(seed, 4, index, int(affine), n), _contour())
+    source, target = ((sheet, random_camera(sheet, focal, rng, affine)) for sheet in pair)
+    return match((source, target), n, noise, stream(seed, 4, index, int(affine), n), _contour())
 
 
 def _choice(value: str, name: str, choices: tuple[str, ...]) -> int:

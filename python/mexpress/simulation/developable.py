@@ -31,7 +31,7 @@ RULINGS = 400
 BEND = (2.2, 2.4)
 """Least and greatest bending in radians that a set starts with: how far a sheet's normal swings in all."""
 
-WAVES = 5
+WAVES = 8
 """The shortest of the normal's waves has so many halves along the width."""
 
 DECAY = -0.5
@@ -40,7 +40,7 @@ DECAY = -0.5
 SKEW = 0.1
 """Amplitude of the waves of the logarithm of the rulings' spacing, on either edge."""
 
-MARGIN = 0.18
+MARGIN = 0.22
 """Least cosine between normals and rays in the frontal view that each sheet has to have."""
 
 

@@ -6,18 +6,27 @@ See `correspondences`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.simulation.cameras import FOCAL, IMAGE_SIZE, Camera, random_camera
-from mexpress.simulation.sheets import COUNT, Sheet, sheets
+from mexpress.simulation.cameras import FILL, FOCAL, IMAGE_SIZE, Camera, in_frame, random_camera
+from mexpress.simulation.developable import COUNT, Sheet, sheets
 
 __all__ = ["Configuration", "Correspondences", "configurations", "correspondences"]
 
 VIEWS = 5
 """Poses and focal lengths for each pair of sheets."""
+
+DENSE = (75, 42)
+"""Columns and rows of the grid on a sheet, of which those in view are the dense points."""
+
+View: TypeAlias = tuple[Sheet, Camera]
+Views: TypeAlias = tuple[View, View]
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class Correspondences:
     source, target : (n, 2) array
         Matches in pixels, with noise.
     dense_source, dense_target : (k, 2) array
-        Images without noise of a regular grid all over the sheet, row after row, in pixels.
+        Images without noise of those points of a regular grid on the sheet that both images have, in pixels.
     contour_source, contour_target : (c, 2) array, optional
         Images without noise of a smooth closed curve on the sheet, in pixels.
     image_size : (float, float), default (1920.0, 1080.0)
@@ -101,8 +110,8 @@ def correspondences(
 ) -> Correspondences:
     """Matches between the images of two sheets.
 
-    The points' images are uniform over the sheet's in the source image. What is random depends on the arguments
-    alone, not on what was made before; the sheets and cameras do not depend on the number of points.
+    The points' images are uniform, in the source image, over what both images have of the sheet. What is random depends
+    on the arguments alone, not on what was made before; the sheets and cameras do not depend on the number of points.
 
     Parameters
     ----------
@@ -128,18 +137,26 @@ def correspondences(
     --------
     >>> from mexpress import simulation
     >>> simulation.correspondences(simulation.Configuration(3, 7, 0), 150)
-    Correspondences(150 matches, 2040 dense points)
+    Correspondences(150 matches, ... dense points)
     """
     if not isinstance(configuration, Configuration):
         check.refuse("configuration", "It must be a Configuration.", check.describe(configuration), TypeError)
     n, seed = check.count(n, "n", 1), check.count(seed, "seed", 0)
     noise = check.number(noise, "noise", "It must be a number of at least 0.", 0.0)
     where = (configuration.source, configuration.target, configuration.view)
-    rng = stream(seed, 1, *where)
+    return match(views(configuration, seed), n, noise, stream(seed, 2, *where, n))
+
+
+@lru_cache(maxsize=8)
+def views(configuration: Configuration, seed: int) -> Views:
+    """Both sheets and what sees them; kept, since problems of several sizes share them."""
+    rng = stream(seed, 1, configuration.source, configuration.target, configuration.view)
     focal = float(rng.uniform(*FOCAL))
-    pair = [sheets(seed)[index] for index in where[:2]]
-    views = [(sheet, random_camera(sheet, focal, rng)) for sheet in pair]
-    return match(views, n, noise, stream(seed, 2, *where, n))
+    source, target = (
+        (sheet, random_camera(sheet, focal, rng, fill=FILL))
+        for sheet in (sheets(seed)[configuration.source], sheets(seed)[configuration.target])
+    )
+    return source, target
 
 
 def stream(seed: int, *place: int) -> np.random.Generator:
@@ -148,30 +165,36 @@ def stream(seed: int, *place: int) -> np.random.Generator:
 
 
 def match(
-    views: list[tuple[Sheet, Camera]],
-    n: int,
-    noise: float,
-    rng: np.random.Generator,
-    contour: Floats | None = None,
+    pair: Views, n: int, noise: float, rng: np.random.Generator, contour: Floats | None = None
 ) -> Correspondences:
-    """Images in two views of n random points on a sheet, of its grid, and of a curve on it (c, 2) if there is one."""
-    sheet = views[0][0]
-    points = scatter(*views[0], n, rng)
-    source, target = (
-        camera(bent(points)) + rng.normal(0.0, noise, (n, 2)) if noise else camera(bent(points))
-        for bent, camera in views
-    )
-    dense_source, dense_target = (camera(bent(sheet.grid())) for bent, camera in views)
-    contours = [None if contour is None else camera(bent(contour)) for bent, camera in views]
-    return Correspondences(source, target, dense_source, dense_target, contours[0], contours[1])
+    """Images of n random points that both views have, of a grid of such, and of a curve on the sheet (c, 2)."""
+    points, sheet = scatter(pair, n, rng), pair[0][0]
+    source, target = images(pair, points) + (rng.normal(0.0, noise, (2, n, 2)) if noise else 0.0)
+    grid = sheet.grid(*DENSE)
+    dense_source, dense_target = images(pair, grid[seen(pair, grid)])
+    curves = (None, None) if contour is None else images(pair, contour)
+    return Correspondences(source, target, dense_source, dense_target, *curves)
 
 
-def scatter(sheet: Sheet, camera: Camera, n: int, rng: np.random.Generator) -> Floats:
-    """Points on a sheet whose images are uniform over the sheet's, (n, 2)."""
+def images(pair: Views, points: Floats) -> Floats:
+    """Where points on the sheet (k, 2) are in both views, (2, k, 2)."""
+    return np.stack([camera(sheet(points)) for sheet, camera in pair])
+
+
+def seen(pair: Views, points: Floats) -> NDArray[np.bool_]:
+    """Which points on the sheet (k, 2) both views have, (k,)."""
+    first, second = images(pair, points)
+    return in_frame(first) & in_frame(second)
+
+
+def scatter(pair: Views, n: int, rng: np.random.Generator) -> Floats:
+    """Points on the sheet that both views have, their images uniform over the sheet's in the first, (n, 2)."""
+    sheet, camera = pair[0]
     most = 1.1 * camera.enlargement(*sheet.samples).max()
     found = np.zeros((0, 2))
     while len(found) < n:
-        points = rng.uniform(-0.5, 0.5, (2 * n, 2)) * (sheet.width, sheet.height)
+        points = rng.uniform(-0.5, 0.5, (4 * n, 2)) * (sheet.width, sheet.height)
         size = camera.enlargement(sheet(points), sheet.normals(points))
-        found = np.concatenate([found, points[size > most * rng.uniform(size=2 * n)]])
+        drawn = size > most * rng.uniform(size=len(points))
+        found = np.concatenate([found, points[drawn & seen(pair, points)]])
     return found[:n]
