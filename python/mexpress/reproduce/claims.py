@@ -67,15 +67,15 @@ def _overfit(curves: Mapping[int, Curves], counts: Counts) -> Claim:
     press, cmpress, test = counts["PRESS"], counts["CMPRESS"], counts["TEST"][500]
     grows = all(rise > 0 for which in (press, cmpress) for rise in np.diff(list(which.values())))
     alike = all(abs(press[n] - cmpress[n]) <= 0.15 * press[n] for n in press)
-    most, cells = largest_count(500), [curves[500].cell(name) for name in ("PRESS", "CMPRESS")]
+    cells = [curves[500].cell(name) for name in ("PRESS", "CMPRESS")]
     # Few problems make an uncertain mean.
     least = min(cell.count + 2 * cell.count_std / len(curves[500].values["FIT"]) ** 0.5 for cell in cells)
     return Claim(
-        "PRESS and CMPRESS overfit as n grows: they select alike, ever more, and at n = 500 at least 90 % of the "
-        f"{most} that are allowed and 95 % of what TEST selects, to two standard errors",
+        "PRESS and CMPRESS overfit as n grows: they select alike, ever more, and at n = 500 at least 80 % of the "
+        f"{largest_count(500)} that are allowed and 95 % of what TEST selects, to two standard errors",
         f"PRESS {_listed(press)}; CMPRESS {_listed(cmpress)} for n = {', '.join(map(str, press))}; TEST {test:.1f} "
         "at n = 500",
-        bool(grows and alike and least >= max(0.9 * most, 0.95 * test)),
+        bool(grows and alike and least >= max(0.95 * test, 0.8 * largest_count(500))),
     )
 
 
@@ -103,15 +103,14 @@ def _resist(counts: Counts) -> Claim:
 
 
 def _underfit(counts: Counts) -> Claim:
-    reference = counts["CMPRESS"]
     shares = {
-        name: [counts[name][n] / reference[n] for n in (15, 30, 500)] for name in ("NN02PTS", "NN05PTS")
+        name: [counts[name][n] / counts["TEST"][n] for n in (15, 30, 500)] for name in ("NN02PTS", "NN05PTS")
     }
-    small = max(shares["NN02PTS"][:2]) < 0.95 and max(shares["NN05PTS"][:2]) < 0.75
+    small = max(shares["NN02PTS"][:2]) < 0.9 and max(shares["NN05PTS"][:2]) < 0.75
     vanishes = all(of[-1] > np.mean(of[:-1]) for of in shares.values())
     return Claim(
         "NN02PTS and NN05PTS, whose sets do not grow with n, underfit at small n",
-        f"{_percent(shares)} of what CMPRESS selects at n = 15, 30, 500",
+        f"{_percent(shares)} of what TEST selects at n = 15, 30, 500",
         bool(small and vanishes),
     )
 
