@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mexpress.reproduce.paper import LOCAL
 from mexpress.reproduce.selections import Curves
 from mexpress.selection import largest_count
 
 __all__ = ["Claim", "claims"]
-
-_LOCAL = ("ER05", "ER10", "NN05PCT", "NN10PCT")
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def claims(curves: Mapping[int, Curves]) -> list[Claim]:
     """
     counts = {
         name: {n: of.cell(name).count for n, of in curves.items()}
-        for name in ("TEST", "PRESS", "CMPRESS", "KF10", "KF05", *_LOCAL, "NN02PTS", "NN05PTS")
+        for name in ("TEST", "PRESS", "CMPRESS", "KF10", "KF05", *LOCAL, "NN02PTS", "NN05PTS")
     }
     return [_overfit(curves, counts), _folds(counts), _resist(counts), _underfit(counts), _fit(curves)]
 
@@ -92,7 +91,7 @@ def _folds(counts: Counts) -> Claim:
 
 
 def _resist(counts: Counts) -> Claim:
-    found = {name: counts[name][500] for name in _LOCAL}
+    found = {name: counts[name][500] for name in LOCAL}
     few = all(found[name] < 0.5 * counts["CMPRESS"][500] for name in ("ER10", "NN05PCT", "NN10PCT"))
     return Claim(
         "ER05, ER10, NN05PCT and NN10PCT resist: they select fewer at n = 500, the last three less than half",

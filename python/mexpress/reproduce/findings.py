@@ -19,6 +19,7 @@ from typing import TypeAlias
 
 from mexpress.reproduce.choices import Cell
 from mexpress.reproduce.claims import Claim
+from mexpress.reproduce.paper import LOCAL
 from mexpress.reproduce.transfer import CRITERIA
 
 __all__ = ["HOLDS", "findings"]
@@ -26,7 +27,6 @@ __all__ = ["HOLDS", "findings"]
 HOLDS = 0.9
 """A statement holds if it is true in this share of its cells at least."""
 
-_LOCAL = ("ER05", "ER10", "NN05PCT", "NN10PCT")
 _NEXT = {"PRESS": "ER05", "ER05": "ER10"}
 _NEAR_THREE = 4
 
@@ -92,14 +92,14 @@ def _of(criterion: str) -> _Other:
 _STATEMENTS: tuple[tuple[str, Sequence[str], _About, _True, _Other], ...] = (
     (
         f"flat scene, no perspective, linear warps: local exclusion selects 3 or {_NEAR_THREE} (median)",
-        _LOCAL,
+        LOCAL,
         lambda place: (place.kind, place.projection, place.form) == ("flat", "affine", "linear"),
         _about_three,
         _same,
     ),
     (
         f"flat scene, fractional warps: local exclusion selects 3 or {_NEAR_THREE} (median)",
-        _LOCAL,
+        LOCAL,
         lambda place: (place.kind, place.form) == ("flat", "fractional"),
         _about_three,
         _same,
@@ -127,14 +127,14 @@ _STATEMENTS: tuple[tuple[str, Sequence[str], _About, _True, _Other], ...] = (
     ),
     (
         "fractional warps: what local exclusion selects transfers no worse than what FIT selects",
-        _LOCAL,
+        LOCAL,
         lambda place: place.form == "fractional",
         _no_worse,
         _of("FIT"),
     ),
     (
         "linear warps: what local exclusion selects transfers no worse than what FIT selects",
-        _LOCAL,
+        LOCAL,
         lambda place: place.form == "linear",
         _no_worse,
         _of("FIT"),
@@ -155,7 +155,7 @@ _STATEMENTS: tuple[tuple[str, Sequence[str], _About, _True, _Other], ...] = (
     ),
     (
         "curved scene: what local exclusion selects transfers no worse than what PRESS selects",
-        _LOCAL,
+        LOCAL,
         lambda place: place.curved,
         _no_worse,
         _of("PRESS"),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["CRITERIA", "PUBLISHED", "SIZES", "Cell"]
+__all__ = ["CRITERIA", "LOCAL", "PUBLISHED", "SIZES", "Cell"]
 
 SIZES = (15, 30, 150, 500)
 """Numbers of correspondences."""
@@ -61,3 +61,6 @@ PUBLISHED = _read(_TEXT)
 
 CRITERIA = tuple(PUBLISHED)[1:]
 """The 13 criteria; TEST, which knows the truth, stands beside them."""
+
+LOCAL = ("ER05", "ER10", "NN05PCT", "NN10PCT")
+"""Those of them that hold out whole neighbourhoods, and resist as n grows."""

@@ -45,8 +45,6 @@ ALIKE = 0.08
 TRUTH = "TRUTH"
 """The name in tables and plots of what no criterion sees."""
 
-_UNITLESS = {"AIC", "BIC"}
-
 _SIZES = {"depth": (10_000, 2000), "embedding": (1000, 300)}
 """Data by kind of subject, in a full run and in a quick one; of a file at most so many as of a depth map."""
 
@@ -293,7 +291,7 @@ def _line(sweep: _Sweep, name: str, count: int | None, known: bool) -> str:
         return f"{name:>10}{'-':>8}  undefined at every number"
     fit, truth = sweep.at(count)
     score = sweep.shown.curves[name][count - sweep.selection.counts[0]]
-    own = "" if name in _UNITLESS else f"{score:.4g}"
+    own = "" if name in reports.UNITLESS else f"{score:.4g}"
     return f"{name:>10}{count:8}{own:>11}{fit:10.4g}" + (f"{truth:11.4g}" if known else "")
 
 

@@ -148,9 +148,14 @@ def _tried(task: _Task) -> list[tuple[Any, ...]]:
     problem = task.scene.draw(task.n, task.seed)
     counts = range(3, largest_count(task.n) + 1)
     judged = trial(problem, task.form == "fractional", counts, seed=task.seed, threads=1)
+    return [(*task.key, *row) for row in _numbers(judged)]
+
+
+def _numbers(judged: Trial) -> list[tuple[Any, ...]]:
+    """Return a row for each number of control points: this number, then what `COLUMNS` has after it."""
     curves = {**judged.selection.curves, **judged.measures()}
-    numbers = np.column_stack([curves[name] for name in list(COLUMNS)[KEY + 1 :]]).tolist()
-    return [(*task.key, count, *row) for count, row in zip(counts, numbers, strict=True)]
+    columns = [curves[name].tolist() for name in list(COLUMNS)[KEY + 1 :]]
+    return list(zip(judged.selection.counts.tolist(), *columns, strict=True))
 
 
 def _figure(name: str, kind: str, options: Options) -> Outcome:
@@ -201,12 +206,7 @@ def _chosen(scene: str, form: str, judged: Trial) -> list[Choice]:
 def _write_curves(path: Path, trials: Mapping[str, Trial]) -> None:
     names = list(COLUMNS)[KEY + 1 :]
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        rows = []
-        for form, judged in trials.items():
-            curves = {**judged.selection.curves, **judged.measures()}
-            columns = zip(*(curves[name].tolist() for name in names), strict=True)
-            counts = judged.selection.counts.tolist()
-            rows += [(form, count, *row) for count, row in zip(counts, columns, strict=True)]
+        rows = [(form, *row) for form, judged in trials.items() for row in _numbers(judged)]
         write_rows(file, ["form", "count", *names], rows)
 
 
