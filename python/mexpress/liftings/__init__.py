@@ -10,13 +10,17 @@ Examples
 array([[0. , 0.5, 0.5]])
 """
 
+from mexpress.liftings.affine import PiecewiseAffine
+from mexpress.liftings.bspline import BSpline
 from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, make_lifting, register
 from mexpress.liftings.nested import nested_basis, nested_bending
 from mexpress.liftings.tps import ThinPlateSpline
 
 __all__ = [
     "LIFTINGS",
+    "BSpline",
     "Lifting",
+    "PiecewiseAffine",
     "ThinPlateSpline",
     "check_lifting",
     "make_lifting",
