@@ -39,7 +39,10 @@ from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row
 from mexpress.nested import Nested, NestedCurve
 from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone
 
-__all__ = ["Criterion", "Judge", "Score", "parse"]
+__all__ = ["UNITLESS", "Criterion", "Judge", "Score", "parse"]
+
+UNITLESS = frozenset({"AIC", "BIC"})
+"""Criteria without a unit."""
 
 Made = TypeVar("Made")
 

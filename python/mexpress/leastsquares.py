@@ -209,7 +209,37 @@ class LeastSquares:
         threads: int | None = None,
     ) -> None:
         given = Problem.of(A, b, coupling, weights, penalty)
-        factor = _core.Factor(*given.arrays, check.threads(threads))
+        self._keep(given, _core.Factor(*given.arrays, check.threads(threads)))
+
+    @classmethod
+    def orthonormal(
+        cls, Q: Floats, b: Floats, coupling: int, penalty: Floats, threads: int | None = None
+    ) -> LeastSquares:
+        """Take a design that has orthonormal columns together with its penalty rows: there is nothing to factorise.
+
+        Parameters
+        ----------
+        Q : (m, p) array
+            Design matrix.
+        b, coupling, threads
+            As for the class.
+        penalty : (k, p) array
+            ``Q^T Q + penalty^T penalty`` is the identity; the caller answers for it.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.LeastSquares.orthonormal(np.full((4, 1), 0.5), np.arange(4.0), 1, np.zeros((0, 1))).coefficients
+        array([3.])
+        """
+        model = object.__new__(cls)
+        given = Problem.of(Q, b, coupling, None, penalty)
+        design, responses, _, rows = given.arrays
+        model._keep(given, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
+        return model
+
+    def _keep(self, given: Problem, factor: _core.Factor) -> None:
         flat = given.responses.ndim == 1
         residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
         self._set(

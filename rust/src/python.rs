@@ -163,6 +163,22 @@ impl<'py> Held<'py> {
     }
 }
 
+impl Factor {
+    fn build<'py>(
+        py: Python<'py>,
+        arrays: Kept,
+        threads: usize,
+        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<crate::factor::Factor, Error> + Send + Sync,
+    ) -> PyResult<Self> {
+        let held = arrays.borrow(py)?;
+        let problem = held.problem()?;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| make(&problem, pool))?;
+        Ok(Self { fit, arrays })
+    }
+}
+
 #[pymethods]
 impl Factor {
     #[new]
@@ -180,12 +196,21 @@ impl Factor {
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
         };
-        let held = arrays.borrow(py)?;
-        let problem = held.problem()?;
-        let size = problem.design.len() + problem.penalty.len();
-        let cost = 2.0 * (size * problem.columns) as f64;
-        let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
-        Ok(Self { fit, arrays })
+        Self::build(py, arrays, threads, crate::factor::Factor::new)
+    }
+
+    /// Of a design and penalty rows that have orthonormal columns together.
+    #[staticmethod]
+    fn orthonormal<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        penalty: Array2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
+        let arrays = Kept { design, responses, root_weights: None, penalty };
+        Self::build(py, arrays, threads, crate::factor::Factor::orthonormal)
     }
 
     #[getter]

@@ -12,7 +12,7 @@ array([[0. , 0.5, 0.5]])
 
 from mexpress.liftings.affine import PiecewiseAffine
 from mexpress.liftings.bspline import BSpline
-from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, make_lifting, register
+from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, lifting_named, make_lifting, register
 from mexpress.liftings.nested import nested_basis, nested_bending
 from mexpress.liftings.tps import ThinPlateSpline
 
@@ -23,6 +23,7 @@ __all__ = [
     "PiecewiseAffine",
     "ThinPlateSpline",
     "check_lifting",
+    "lifting_named",
     "make_lifting",
     "nested_basis",
     "nested_bending",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mexpress._validation import Floats, Integers
-from mexpress.criteria import Criterion, parse
+from mexpress.criteria import UNITLESS, Criterion, parse
 from mexpress.plotting.figures import (
     BLUE,
     GRAY,
@@ -21,7 +21,6 @@ from mexpress.plotting.figures import (
     saved,
     with_unit,
 )
-from mexpress.reports import UNITLESS
 from mexpress.selection import Selection, WarpSelection
 
 if TYPE_CHECKING:
