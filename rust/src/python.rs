@@ -239,6 +239,22 @@ impl Factor {
         ))
     }
 
+    /// The covariances of the prediction residuals of pairs, flattened one after another.
+    fn spread<'py>(
+        &self,
+        py: Python<'py>,
+        held: ReadSets<'py>,
+        validated: ReadSets<'py>,
+        rows: ReadSets<'py>,
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
+    }
+
     /// The blocks of the hat matrix for sets of rows, flattened one after another.
     fn hat_blocks<'py>(
         &self,
