@@ -15,7 +15,7 @@ use crate::factor::Problem;
 use crate::holdout::{Pairs, Status};
 use crate::pool::Pool;
 use crate::scheme::Sets;
-use crate::{curve, delaunay, neighbours, nested, placement};
+use crate::{curve, delaunay, matching, neighbours, nested, placement};
 
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Array2<'py, T> = Bound<'py, PyArray2<T>>;
@@ -264,6 +264,22 @@ impl Factor {
         ))
     }
 
+    /// The covariances of the prediction residuals of pairs, flattened one after another.
+    fn spread<'py>(
+        &self,
+        py: Python<'py>,
+        held: ReadSets<'py>,
+        validated: ReadSets<'py>,
+        rows: ReadSets<'py>,
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
+    }
+
     /// The blocks of the hat matrix for sets of rows, flattened one after another.
     fn hat_blocks<'py>(
         &self,
@@ -479,6 +495,23 @@ fn neighbours_nearest<'py>(
     Ok(arrays(py, &found))
 }
 
+/// Neighbourhoods that leave every point as far from its nearest as queries are from theirs, as (offsets, items).
+#[pyfunction]
+fn neighbours_matched<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    queries: PyReadonlyArray2<'py, f64>,
+    most: usize,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let (points, queries) = (matrix(&points)?, matrix(&queries)?);
+    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        matching::matched(points, queries, dimension, most, pool)
+    })?;
+    Ok(arrays(py, &found))
+}
+
 /// Each point with its neighbours in the Delaunay triangulation, as (offsets, items).
 #[pyfunction]
 fn neighbours_delaunay<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Arrays<'py>> {
@@ -545,6 +578,6 @@ mod _core {
     #[pymodule_export]
     use super::{
         Around, Factor, Nested, along_curve, arrival, find_not_finite, lloyd, neighbours_delaunay,
-        neighbours_nearest, neighbours_within, spread,
+        neighbours_matched, neighbours_nearest, neighbours_within, spread,
     };
 }
