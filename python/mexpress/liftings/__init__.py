@@ -14,6 +14,7 @@ from mexpress.liftings.affine import PiecewiseAffine
 from mexpress.liftings.bspline import BSpline
 from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, lifting_named, make_lifting, register
 from mexpress.liftings.nested import nested_basis, nested_bending
+from mexpress.liftings.sparse import SparseLifting
 from mexpress.liftings.tps import ThinPlateSpline
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "BSpline",
     "Lifting",
     "PiecewiseAffine",
+    "SparseLifting",
     "ThinPlateSpline",
     "check_lifting",
     "lifting_named",
