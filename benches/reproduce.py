@@ -4,7 +4,7 @@ Usage: ``python benches/reproduce.py [problems] [batches] [--rounds 3] [--small]
 
 ``problems`` measures simulated pairs of images with one thread, as each worker does: all 13 criteria and TEST for every
 number of control points. As in a run, where a configuration's sizes are one task, only the largest pays for what they
-share. Stages are timed where `mexpress.selection` calls them; the rest is what is between. The last column is what the
+share. Stages are timed where they are called; the rest is what is between. The last column is what the
 450 problems of that size, and all 1,800, take on all cores if these keep each other busy.
 
 ``batches`` runs `select_warp` on many problems of one size: one after the other with one thread and with all of them,
@@ -26,17 +26,19 @@ from threadpoolctl import threadpool_limits
 from versus import CORES, REST, describe_machine, show, span
 
 import mexpress as mx
-from mexpress import selection, simulation
+from mexpress import simulation, sweeps
 from mexpress.criteria import Judge
+from mexpress.liftings import lifting
 from mexpress.reproduce import table1
 from mexpress.reproduce.paper import CRITERIA, SIZES
+from mexpress.selection import models, warp
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "simulation": [(simulation, "correspondences")],
-    "placement": [(selection, "covered_region"), (selection, "lloyd")],
-    "design": [(selection, "make_lifting"), (selection, "warp_design")],
-    "factor": [(selection, "LeastSquares")],
-    "criteria": [(selection, "_judge"), (Judge, "scores")],
+    "placement": [(warp, "covered_region"), (lifting, "lloyd")],
+    "design": [(warp, "warp_design")],
+    "factor": [(sweeps, "LeastSquares")],
+    "criteria": [(models.Jury, "judge"), (Judge, "scores")],
     "TEST": [(table1, "_test_errors")],
 }
 """The functions of every stage, and where they are called from."""

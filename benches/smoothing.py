@@ -1,0 +1,100 @@
+"""What smoothing as a second axis costs, and nested placement against Lloyd's.
+
+Run ``python benches/smoothing.py map`` (60 counts x 20 weights of 2,000 matches against one sweep without smoothing),
+``python benches/smoothing.py auto`` (the time of smoothing="auto"), or ``python benches/smoothing.py placement [N]``
+(true errors on N simulated sheets).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import mexpress as mx
+from mexpress import simulation
+from mexpress.smoothing import weights_of
+
+COUNTS = range(3, 63)
+CRITERIA = ["FIT", "CMPRESS"]
+
+
+def timed(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def bent(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Matches of a gently bent sheet seen in perspective, with noise of 1 px."""
+    random = np.random.default_rng(seed)
+    source = random.uniform(0, 1, (n, 2)) * [640, 480]
+    x, y = source.T
+    target = source + 12 * np.column_stack([np.sin(x / 90 + y / 150), np.cos(y / 110)])
+    return source, target / (1 + 4e-4 * x)[:, None] + random.normal(0, 1, source.shape)
+
+
+def time_map() -> None:
+    source, target = bent(2000)
+    weights = weights_of("auto", len(source), 640.0 * 480.0, COUNTS[-1])
+
+    def sweep(**options: object) -> Callable[[], object]:
+        return lambda: mx.select_warp(
+            source, target, criteria=CRITERIA, counts=COUNTS, image_size=(640, 480), **options
+        )
+
+    plain = min(timed(sweep(placement="nested")) for _ in range(3))
+    whole = timed(sweep(placement="nested", smoothing=weights))
+    print(
+        f"{len(COUNTS)} counts {plain:.2f} s, x {len(weights)} weights {whole:.2f} s: {whole / plain:.1f} plain sweeps"
+    )
+    print(f"Lloyd's placement, {len(COUNTS)} counts {timed(sweep(placement='lloyd')):.2f} s")
+
+
+def time_auto() -> None:
+    for n in (50, 150, 300, 1000):
+        source, target = bent(n)
+        seconds = timed(lambda s=source, t=target: mx.select_warp(s, t, smoothing="auto"))
+        depth = timed(lambda s=source, t=target: mx.select_surface(s, t[:, 0], smoothing="auto"))
+        print(f"n = {n}: warp {seconds:.2f} s, surface {depth:.2f} s")
+
+
+def compare_placements(number: int) -> None:
+    """Median true error and time on simulated sheets, for plain and smoothed models."""
+    every = simulation.configurations()
+    chosen = np.random.default_rng(0).choice(len(every), number, replace=False)
+    settings = [("0", dict(smoothing=0.0)), ('"auto"', dict(smoothing="auto"))]
+    for n in (50, 150):
+        data = [simulation.correspondences(every[k], n, noise=1.0, seed=int(k)) for k in chosen]
+        for label, options in settings:
+            for placement in ("lloyd", "nested"):
+                errors, start = [], time.perf_counter()
+                for one in data:
+                    warp = mx.select_warp(
+                        one.source,
+                        one.target,
+                        "CMPRESS",
+                        placement=placement,
+                        image_size=one.image_size,
+                        **options,
+                    ).warp
+                    errors.append(np.sqrt(((warp(one.dense_source) - one.dense_target) ** 2).sum(1).mean()))
+                seconds = (time.perf_counter() - start) / number
+                print(
+                    f"n = {n}, smoothing {label}, {placement}: median true error {np.median(errors):.1f} px, "
+                    f"{seconds:.2f} s"
+                )
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["map"]:
+            time_map()
+        case ["auto"]:
+            time_auto()
+        case ["placement", *number]:
+            compare_placements(int(number[0]) if number else 20)
+        case _:
+            sys.exit(__doc__)
