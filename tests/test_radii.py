@@ -29,8 +29,10 @@ def test_scores_are_those_of_exclusion_radii():
 def test_reach_is_how_far_the_domain_is_from_the_data():
     crowded = np.vstack([POINTS * 0.1, [[0, 1], [1, 0], [1, 1]]])
     even, uneven = (score_by_radius(model_of(p), p, percents=[0]).reach for p in (POINTS, crowded))
-    assert (np.diff(even) >= 0).all() and len(even) >= 950
-    assert np.median(even) < 5 < 20 < np.median(uneven) < 50
+    assert (np.diff(even) >= 0).all()
+    assert len(even) >= 950
+    assert np.median(even) < 5
+    assert 20 < np.median(uneven) < 50
     diagonal = np.hypot(*np.ptp(crowded, axis=0))
     middle = np.hypot(*(crowded - 0.55).T).min() / diagonal * 100
     assert uneven.max() == pytest.approx(middle, rel=0.3)
@@ -41,7 +43,7 @@ def test_the_default_diagonal_is_that_of_the_bounding_box():
     box = float(np.hypot(*np.ptp(POINTS, axis=0)))
     ours, given = score_by_radius(model, POINTS), score_by_radius(model, POINTS.tolist(), box)
     np.testing.assert_array_equal(ours.scores, given.scores)
-    assert ours.percents[0] == 0 and ours.percents[-1] == 20
+    assert ours.percents[[0, -1]].tolist() == [0, 20]
 
 
 def test_a_radius_that_leaves_too_few_has_no_score_and_the_plot_copes(tmp_path):
