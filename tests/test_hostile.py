@@ -55,11 +55,13 @@ COVERED = {
     "Scheme",
     "delaunay",
     "exclusion_radius",
+    "from_distance",  # test_schemes.py
     "from_sets",
     "from_splits",
     "k_fold",
     "leave_one_out",
     "leave_p_out",
+    "matched",
     "nearest",
     "random_sampling",
 }

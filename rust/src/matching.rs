@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn threads_do_not_matter() {
         let points: Vec<f64> = grid(30).iter().map(|x| x.powi(2)).collect();
-        let queries: Vec<f64> = grid(40).iter().map(|x| 20.0 * x).collect();
+        let queries: Vec<f64> = grid(40).iter().map(|x| 60.0 * x).collect();
         let [one, many] = [1, 3].map(|t| matched(&points, &queries, 2, 700, &Pool::new(t, &FLAG)).unwrap());
         assert!(one.items.len() > 3 * 900);
         assert_eq!(one, many);

@@ -11,11 +11,13 @@ Examples
 """
 
 from mexpress.plotting.curves import plot_selection
+from mexpress.plotting.radii import plot_radii
 from mexpress.plotting.surfaces import plot_control_points, plot_residuals, plot_surface
 from mexpress.plotting.warps import plot_registration, plot_warp
 
 __all__ = [
     "plot_control_points",
+    "plot_radii",
     "plot_registration",
     "plot_residuals",
     "plot_selection",

@@ -1,0 +1,129 @@
+"""One model's local-exclusion score for a range of radii, and how far from the data its domain is.
+
+See `score_by_radius`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.leastsquares import LeastSquares, cross_validate_all
+from mexpress.placement import covered_region, lattice
+from mexpress.schemes import exclusion_radius
+
+__all__ = ["RadiusCurve", "score_by_radius"]
+
+PERCENTS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0, 15.0, 20.0)
+QUERIES = 1000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RadiusCurve:
+    """How the score of a model grows as predictions have to reach farther.
+
+    Parameters
+    ----------
+    percents : (k,) array
+        Radii, in percent of the diagonal.
+    scores : (k,) array
+        P with all data within the radius held out, in the responses' unit; NaN where undefined.
+    held : (k,) array
+        Mean number of data held out.
+    reach : (q,) array
+        Distances to the nearest datum from places all over the region that the data cover, increasing, in percent of
+        the diagonal.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> RadiusCurve(np.array([0.0, 5.0]), np.array([1.0, 1.5]), np.array([1.0, 9.0]), np.array([0.5, 3.0, 4.0]))
+    RadiusCurve(1 at 0 % to 1.5 at 5 %, half of the domain within 3 % of a datum)
+    """
+
+    percents: Floats
+    scores: Floats
+    held: Floats
+    reach: Floats
+
+    def __repr__(self) -> str:
+        first, last = (f"{self.scores[k]:.4g} at {self.percents[k]:g} %" for k in (0, -1))
+        return f"RadiusCurve({first} to {last}, half of the domain within {np.median(self.reach):.2g} % of a datum)"
+
+
+def score_by_radius(
+    model: LeastSquares,
+    points: ArrayLike,
+    diagonal: float | None = None,
+    percents: Sequence[float] | None = None,
+    threads: int | None = None,
+) -> RadiusCurve:
+    """Score a model by local exclusion with several radii.
+
+    Parameters
+    ----------
+    model : LeastSquares
+        Of n data.
+    points : (n, 2) array
+        Where the data are.
+    diagonal : float, optional
+        What radii are percentages of, in the unit of the points; that of their bounding box if not given.
+    percents : sequence of float, optional
+        Radii in percent, increasing; 0 to 20 if not given.
+    threads : int, optional
+        At most so many threads.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the points are not those of the model's data or do not cover a region, or radii do not increase.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> x, y = points = np.random.default_rng(0).uniform(size=(2, 100))
+    >>> model = mx.LeastSquares(np.column_stack([x**0, x, y, x * y]), np.sin(3 * x) + y)
+    >>> curve = score_by_radius(model, points.T, percents=[0, 5, 10])
+    >>> curve.held.tolist()
+    [1.0, 2.28, 6.52]
+    """
+    where = check.points(points, "points")
+    if len(where) != model.n_data:
+        rule = f"They must be those of the model's {model.n_data} data."
+        check.refuse("points", rule, f"{len(where)} points")
+    region = covered_region(where)
+    whole = (
+        float(np.hypot(*np.ptp(where, axis=0))) if diagonal is None else check.positive(diagonal, "diagonal")
+    )
+    radii = _checked(PERCENTS if percents is None else percents)
+    scores, held = np.empty(len(radii)), np.empty(len(radii))
+    for k, percent in enumerate(radii):  # one by one: the lists of all would be large
+        scheme = exclusion_radius(where, percent / 100 * whole, threads)
+        scores[k] = cross_validate_all(model, {"": scheme}, threads)[""].score
+        held[k] = scheme.held_out.sizes.mean()
+    return RadiusCurve(radii, scores, held, 100 / whole * _reach(lattice(region, QUERIES), where))
+
+
+def _checked(percents: ArrayLike) -> Floats:
+    rule = "They must be one or more increasing percentages of at least 0."
+    radii = check.real(percents, "percents")
+    if radii.ndim != 1 or radii.size == 0:
+        check.refuse("percents", rule, check.describe(percents))
+    if check.finite(radii, "percents")[0] < 0 or (np.diff(radii) <= 0).any():
+        check.refuse("percents", rule, check.describe(percents))
+    return radii
+
+
+def _reach(queries: Floats, points: Floats) -> Floats:
+    """Distances from queries to their nearest points, increasing."""
+    nearest = np.full(len(queries), np.inf)
+    for some in np.array_split(points, -(-len(points) // 4096)):
+        x, y = (queries[:, None, axis] - some[:, axis] for axis in (0, 1))
+        nearest = np.minimum(nearest, np.hypot(x, y).min(axis=1))
+    return np.sort(nearest)

@@ -1,0 +1,349 @@
+"""Data that disagree with what their neighbourhoods predict: wrong matches, wrong depths.
+
+See `suspects`.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.leastsquares import LeastSquares, cross_validate_all
+from mexpress.schemes import Scheme
+
+__all__ = ["Suspects", "SuspicionWarning", "studentised_squares", "suspects"]
+
+LEFT_OUT = 1e-8
+"""Weight of a datum that does not count: it is predicted like any other, and pulls nothing."""
+
+KEPT_AT_FIRST = 0.5
+
+ROUNDING = 1e-7
+"""The least sigma, as a part of the values' spread."""
+
+DOUBTFUL_SHARE = 0.4
+DOUBTFUL_SCALE = 0.08
+"""Of the values' spread. Half of either is as doubtful as the whole of one: missed errors make sigma grow."""
+
+UNSETTLED_SHARE = 0.05
+
+
+class SuspicionWarning(UserWarning):
+    """Too much is suspicious, or too little is predicted, to trust what is suspected.
+
+    Examples
+    --------
+    >>> from mexpress.suspicion import SuspicionWarning
+    >>> issubclass(SuspicionWarning, UserWarning)
+    True
+    """
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Suspects:
+    """How badly the neighbourhood of each datum predicts it, and who is suspected for it.
+
+    Parameters
+    ----------
+    scores : (n,) array
+        Studentised prediction residuals: root mean squares of a datum's, in units of what noise would do; about 1 as a
+        rule. NaN where the others do not determine a prediction.
+    threshold : float
+        Scores above it are suspicious.
+    sigma : float
+        Standard deviation of the noise of a row, robustly estimated, in the responses' unit.
+    spread : float
+        Root mean square of the values about their mean, in the same unit.
+    rounds : int
+        How many models were built.
+    settled : bool
+        Whether the last round suspected the same data as the one before, but for a few that come and go.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from mexpress.suspicion import Suspects
+    >>> found = Suspects(np.array([0.4, 9.0, 1.2, 31.0, 0.9, 0.5, 0.8]), 5.0, 0.7, 90.0, 4, True)
+    >>> found
+    Suspects(2 of 7 data above 5, sigma=0.7)
+    >>> found.indices
+    array([3, 1])
+    """
+
+    scores: Floats
+    threshold: float
+    sigma: float
+    spread: float
+    rounds: int
+    settled: bool
+
+    def __repr__(self) -> str:
+        doubt = ", not to be trusted" if self.doubtful else ""
+        found = f"{len(self.indices)} of {len(self.scores)} data above {self.threshold:g}"
+        return f"Suspects({found}, sigma={self.sigma:.4g}{doubt})"
+
+    @property
+    def indices(self) -> Integers:
+        """The suspected data, the worst first, (k,).
+
+        Examples
+        --------
+        See `Suspects`.
+        """
+        order = np.argsort(-self.scores, kind="stable")
+        return order[self.scores[order] > self.threshold]
+
+    @property
+    def share(self) -> float:
+        """Which part of the data is suspected, from 0 to 1.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from mexpress.suspicion import Suspects
+        >>> Suspects(np.array([0.4, 9.0, 1.2, 0.7]), 5.0, 0.7, 90.0, 4, True).share
+        0.25
+        """
+        return len(self.indices) / len(self.scores)
+
+    @property
+    def doubt(self) -> str:
+        """Why the result is not to be trusted; empty if nothing speaks against it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from mexpress.suspicion import Suspects
+        >>> found = Suspects(np.array([9.0, 9.0, 1.0, 0.5]), 5.0, 0.7, 90.0, 4, True)
+        >>> found.doubt.split(". ")[1]
+        'This is no RANSAC: it needs a clear majority that agrees'
+        """
+        beyond = self.sigma / self.spread if self.spread else 0.0
+        if self.settled and self.share / DOUBTFUL_SHARE + beyond / DOUBTFUL_SCALE <= 1:
+            return ""
+        unsettled = "" if self.settled else ", and the rounds did not settle"
+        return (
+            f"{100 * self.share:.0f} % of the data are suspicious, sigma is {100 * beyond:.2g} % of the values' own "
+            f"spread{unsettled}. This is no RANSAC: it needs a clear majority that agrees. Remove wrong data by other "
+            "means first."
+        )
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether there is a `doubt`."""
+        return bool(self.doubt)
+
+    @property
+    def weights(self) -> Floats:
+        """Weights for a refit, (n,): Tukey's bisquare of the scores, 1 at 0, next to nothing from the threshold on.
+
+        Data without a score weigh 1.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from mexpress.suspicion import Suspects
+        >>> Suspects(np.array([0.0, 1.0, 9.0]), 5.0, 0.7, 90.0, 4, True).weights.round(3)
+        array([1.   , 0.922, 0.   ])
+        """
+        part = np.minimum(np.nan_to_num(self.scores) / self.threshold, 1.0)
+        return np.maximum((1 - part**2) ** 2, LEFT_OUT)
+
+
+def studentised_squares(
+    model: LeastSquares, scheme: Scheme, weights: Floats, threads: int | None = None
+) -> tuple[Floats, Integers]:
+    """How far each datum is from its prediction, in the metric of the noise that a prediction has.
+
+    Parameters
+    ----------
+    model : LeastSquares
+        Fitted with these weights.
+    scheme : Scheme
+        Validates every datum once, alone.
+    weights : (n,) array
+        1 for data that count and next to nothing for those that do not; both are scored as data of weight one.
+    threads : int, optional
+        At most so many threads.
+
+    Returns
+    -------
+    squares : (n,) array
+        ``e^T C^-1 e`` with ``C = I + Q_T M^-1 Q_T^T``, summed over the responses; NaN where undefined. Divided by
+        the variance of the noise it is a chi square.
+    freedom : (n,) int array
+        Of how many degrees of freedom: rows times responses of the datum.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
+    >>> squares, freedom = studentised_squares(model, mx.schemes.leave_one_out(3), np.ones(3))
+    >>> squares.round(3), freedom
+    (array([ 6. ,  1.5, 13.5]), array([1, 1, 1]))
+    """
+    found = cross_validate_all(model, {"": scheme}, threads)[""]
+    residuals = found.residuals.reshape(len(found.rows), -1)
+    starts = np.searchsorted(found.pairs, np.arange(len(scheme) + 1))
+    squares, freedom = np.empty(len(scheme)), np.empty(len(scheme), dtype=np.int64)
+    for pair, spread in enumerate(model.prediction_spread(scheme, threads)):
+        datum, e = scheme.validated.indices[pair], residuals[starts[pair] : starts[pair + 1]]
+        one = np.eye(len(e))
+        # The model's spread is that of weighted residuals.
+        squares[datum] = (e * np.linalg.solve(one + (spread - one) / weights[datum], e)).sum()
+        freedom[datum] = e.size
+    return squares, freedom
+
+
+def suspects(
+    build: Callable[[Floats], LeastSquares],
+    scheme: Scheme,
+    values: ArrayLike,
+    threshold: float = 5.0,
+    max_rounds: int = 20,
+    threads: int | None = None,
+) -> Suspects:
+    """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
+
+    Parameters
+    ----------
+    build : callable
+        Gets weights of the data, (n,), 1 for those that count and next to nothing for the others, and returns a
+        `LeastSquares` of all data with these weights. Wrong data disturb the choice of a model as much as its fit,
+        so it should choose the model anew each time, by a criterion that takes the weights.
+    scheme : Scheme
+        Validates every datum once, alone: `schemes.exclusion_radius`, `schemes.nearest`, or
+        `schemes.leave_one_out` where wrong data do not come in clusters.
+    values : (n,) or (n, d) array
+        What was measured, in the unit of the responses: target points, depths. Their spread is what a prediction must
+        beat.
+    threshold : float, default 5
+        Scores above it are suspicious. Gaussian noise exceeds 3 in 0.3 % of the data of one row and one response and
+        in 0.01 % of those of two; real data have model error besides.
+    max_rounds : int, default 20
+        Most models that are built once the first guess stands.
+    threads : int, optional
+        At most so many threads.
+
+    Returns
+    -------
+    Suspects
+        With a `SuspicionWarning` if so many are suspicious, or predictions are so bad, that it means nothing.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the scheme does not validate every datum once and alone, or a model is not of its data.
+
+    Notes
+    -----
+    The score of datum i is ``t_i^2 = e_(i)^T C_i^-1 e_(i) / (g r sigma^2)``, with e_(i) its prediction residual, r
+    responses of g rows, and ``C_i = ((I - H_KK)^-1)_TT``, which tells how far noise alone drives e_(i). sigma comes
+    from the median over all data, which half of them being wrong would break.
+
+    Wrong data mask each other. So the rounds begin with the half that is predicted best, fit that alone and
+    score all again, until the half is stable (the concentration steps of least trimmed squares); then all below
+    the threshold are let in, and all are scored again, until the suspects are stable.
+
+    References
+    ----------
+    P. Rousseeuw, K. Van Driessen, "Computing LTS regression for large data sets", Data Mining and Knowledge
+    Discovery, 2006.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> x = np.linspace(0, 1, 60)
+    >>> y = np.sin(3 * x) + np.random.default_rng(0).normal(0, 0.01, 60)
+    >>> y[[7, 30]] = 0.0
+    >>> near = mx.schemes.exclusion_radius(x[:, None], 0.03)
+    >>> found = suspects(lambda w: mx.LeastSquares(np.vander(x, 6), y, weights=w), near, y)
+    >>> found.indices
+    array([30,  7])
+    """
+    n = _each_once(scheme).n_data
+    measured = check.columns(values, "values", n)
+    spread = float(np.sqrt(((measured - measured.mean(axis=0)) ** 2).mean()))
+    limit = check.positive(threshold, "threshold")
+    most = check.count(max_rounds, "max_rounds", 1)
+    sigma, rounds = math.nan, 0
+
+    def score(weights: Floats) -> Floats:
+        nonlocal sigma, rounds
+        rounds += 1
+        squares, freedom = studentised_squares(_model(build, weights), scheme, weights, threads)
+        # Data that fit to rounding are no suspects, nor are those that others pull in spite of their weight.
+        sigma = max(_robust_scale(squares, freedom), ROUNDING * spread)
+        return np.asarray(np.sqrt(squares / freedom) / (sigma or 1.0))
+
+    first = math.ceil(KEPT_AT_FIRST * n)
+    scores, _ = _settle(score, np.ones(n), lambda scores: _best(scores, first), most)
+    scores, settled = _settle(score, _as_weights(~(scores > limit)), lambda scores: ~(scores > limit), most)
+    found = Suspects(scores, limit, sigma, spread, rounds, settled)
+    if found.doubtful:
+        warnings.warn(SuspicionWarning(found.doubt), stacklevel=2)
+    return found
+
+
+def _settle(
+    score: Callable[[Floats], Floats], weights: Floats, keep: Callable[[Floats], Any], most: int
+) -> tuple[Floats, bool]:
+    """Score and keep by turns until what is kept comes back: the last scores, and whether hardly a datum changed."""
+    seen = set()
+    while len(seen) < most:
+        seen.add(weights.tobytes())
+        scores = score(weights)
+        kept = _as_weights(keep(scores))
+        changed = float((kept != weights).mean())
+        if kept.tobytes() in seen:
+            break
+        weights = kept
+    return scores, changed <= UNSETTLED_SHARE
+
+
+def _as_weights(kept: Any) -> Floats:
+    return np.where(kept, 1.0, LEFT_OUT)
+
+
+def _best(scores: Floats, count: int) -> Any:
+    """Which have the smallest scores, equal ones by index."""
+    kept = np.zeros(len(scores), dtype=np.bool_)
+    kept[np.argsort(scores, kind="stable")[:count]] = True
+    return kept
+
+
+def _robust_scale(squares: Floats, freedom: Integers) -> float:
+    """Sigma, from the median of the squares over the medians of their chi squares (Wilson and Hilferty's)."""
+    known = np.isfinite(squares)
+    if not known.any():
+        rule = "Its models must be determined by all data but those around one."
+        check.refuse("build", rule, "one that predicts no datum")
+    return float(np.sqrt(np.median(squares[known] / (freedom[known] * (1 - 2 / (9 * freedom[known])) ** 3))))
+
+
+def _model(build: Callable[[Floats], LeastSquares], weights: Floats) -> LeastSquares:
+    model = build(weights.copy())
+    if not isinstance(model, LeastSquares):
+        check.refuse("build", "It must return a LeastSquares.", check.describe(model), TypeError)
+    return model
+
+
+def _each_once(scheme: Any) -> Scheme:
+    """A scheme that validates every datum once, alone."""
+    rule = "It must validate every datum once, alone, as schemes.exclusion_radius does."
+    if not isinstance(scheme, Scheme):
+        check.refuse("scheme", rule, check.describe(scheme), TypeError)
+    alone = (scheme.validated.sizes == 1).all() and len(scheme) == scheme.n_data
+    if not alone or len(np.unique(scheme.validated.indices)) < scheme.n_data:
+        check.refuse("scheme", rule, repr(scheme))
+    return scheme
