@@ -11,20 +11,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.designs import measured_data, nested_surface_design, surface_design
-from mexpress.leastsquares import LeastSquares
-from mexpress.liftings import ThinPlateSpline, lifting_named
+from mexpress.designs import SurfaceDesign, measured_data, nested_surface_design, surface_design
+from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
 from mexpress.placement import area, by_residual, farthest_first
 from mexpress.schemes import Scheme
+from mexpress.selection.doubt import ModelSelection
 from mexpress.selection.models import Jury, Models, default_criterion, most_of, slack_of
-from mexpress.selection.selection import Selection, of_sweep
+from mexpress.selection.selection import of_sweep
 from mexpress.smoothing import is_auto, weights_of
 from mexpress.surfaces import Surface
-from mexpress.sweeps import penalised
 
 __all__ = ["SurfaceSelection", "select_surface"]
 
@@ -33,7 +33,7 @@ _MOST = 175
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SurfaceSelection(Selection):
+class SurfaceSelection(ModelSelection[Surface]):
     """A surface with the number of control points that a criterion chose; see `Selection` for the other fields.
 
     Parameters
@@ -64,26 +64,18 @@ class SurfaceSelection(Selection):
     values: Floats
     control_points: Floats
 
-    def least_squares(self, weights: ArrayLike | None = None, threads: int | None = None) -> LeastSquares:
-        """Return the least-squares problem of the selected surface, to be cross-validated further.
+    @property
+    def _supplest(self) -> int:
+        return 100
 
-        Parameters
-        ----------
-        weights : (n,) array, optional
-            Positive weight of each datum; one each if not given.
-        threads : int, optional
-            At most so many threads.
+    def _data(self) -> tuple[Floats, Floats, float]:
+        return self.points, self.values, float(np.hypot(*np.ptp(self.points, axis=0)))
 
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import numpy as np
-        >>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
-        >>> mx.select_surface(points, np.sin(6 * points[:, 0]), max_count=20).least_squares().n_data
-        200
-        """
-        design = surface_design(self.surface.lifting, self.points, self.values)
-        return penalised(design, self.smoothing, weights, threads)
+    def _lifting(self) -> Lifting:
+        return self.surface.lifting
+
+    def _design(self, lifting: Lifting) -> SurfaceDesign:
+        return surface_design(lifting, self.points, self.values)
 
 
 def select_surface(

@@ -12,15 +12,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.designs import matched, nested_warp_design, warp_design
-from mexpress.leastsquares import LeastSquares
-from mexpress.liftings import ThinPlateSpline, lifting_named
+from mexpress.designs import WarpDesign, matched, nested_warp_design, warp_design
+from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
 from mexpress.placement import area, covered_region, farthest_first
 from mexpress.schemes import Scheme
+from mexpress.selection.doubt import ModelSelection
 from mexpress.selection.models import (
     Jury,
     Models,
@@ -30,16 +31,15 @@ from mexpress.selection.models import (
     slack_of,
     wished_counts,
 )
-from mexpress.selection.selection import Selection, of_sweep
+from mexpress.selection.selection import of_sweep
 from mexpress.smoothing import is_auto, weights_of
-from mexpress.sweeps import penalised
 from mexpress.warps import Warp
 
 __all__ = ["WarpSelection", "select_warp"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WarpSelection(Selection):
+class WarpSelection(ModelSelection[Warp]):
     """A warp with the number of control points that a criterion chose; see `Selection` for the other fields.
 
     Parameters
@@ -75,28 +75,19 @@ class WarpSelection(Selection):
         """The selected warp."""
         return self.warps[self.count]
 
-    def least_squares(self, weights: ArrayLike | None = None, threads: int | None = None) -> LeastSquares:
-        """Return the least-squares problem of the selected warp, to be cross-validated further.
+    @property
+    def _supplest(self) -> int:
+        return 30
 
-        Parameters
-        ----------
-        weights : (n,) array, optional
-            Positive weight of each match; one each if not given.
-        threads : int, optional
-            At most so many threads.
+    def _data(self) -> tuple[Floats, Floats, float]:
+        return self.source, self.target, _diagonal(self.source, self.image_size)
 
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import numpy as np
-        >>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
-        >>> mx.select_warp(source, 2 * source + 1, counts=[3, 4, 5]).least_squares().n_data
-        20
-        """
-        lifting, fractional = self.warp.lifting, self.warp.fractional
+    def _lifting(self) -> Lifting:
+        return self.warp.lifting
+
+    def _design(self, lifting: Lifting) -> WarpDesign:
         over_data = _over_data(self.placement)
-        design = warp_design(lifting, self.source, self.target, fractional, over_data)
-        return penalised(design, self.smoothing, weights, threads)
+        return warp_design(lifting, self.source, self.target, self.warp.fractional, over_data)
 
 
 def select_warp(
@@ -215,7 +206,7 @@ def select_warp(
         ),
         partial(nested_warp_design, source, target, fractional=fractional),
     )
-    diagonal = None if size is None else math.hypot(*size)
+    diagonal = _diagonal(source, size)
     jury = Jury(default_criterion(criterion, smoothing), criteria, source, diagonal, seed, threads)
     name, sweep = models.sweep(jury, "warp" if progress else None)
     selection = of_sweep(name, sweep, slack_of(smoothing, n))
@@ -228,6 +219,11 @@ def select_warp(
     return WarpSelection(
         **vars(selection), warps=warps, source=source, target=target, image_size=size, placement=spread
     )
+
+
+def _diagonal(source: Floats, size: tuple[float, float] | None) -> float:
+    """What ERxx is a percentage of: the image's diagonal, or that of the points' bounding box."""
+    return float(np.hypot(*np.ptp(source, axis=0))) if size is None else math.hypot(*size)
 
 
 def _over_data(placement: str) -> bool | None:
