@@ -15,40 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import mexpress as mx
-from mexpress.criteria import Judge
-from mexpress.designs import warp_design
-from mexpress.liftings import make_lifting
-from mexpress.placement import covered_region, lloyd
-from mexpress.suspicion import SuspicionWarning, suspects
+from mexpress.suspicion import SuspicionWarning
 
 SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
 VIEWS = ((0, 3), (2, 7), (5, 9))
 SEEDS = range(3)
-
-
-class Chooser:
-    """Of a few counts and weights of the bending energy, the warp that ER10 prefers, given weights of the matches."""
-
-    def __init__(self, source, target):
-        region = covered_region(source)
-        diagonal = np.hypot(*np.ptp(source, axis=0))
-        most = max(4, min(len(source) // 3, 30))
-        counts = sorted({3, max(4, most // 3), most})
-        self.judge = Judge.of(["ER10"], source)
-        self.trials = []
-        for count in counts:
-            design = warp_design(make_lifting("tps", lloyd(region, count)), source, target)
-            weights = [0.0] if count == 3 else [diagonal**2 * 10.0**power for power in range(-6, 1)]
-            self.trials += [(design, math.sqrt(weight) * design.bending()) for weight in weights]
-
-    def __call__(self, weights):
-        """Return the chosen model of all matches."""
-        models = [
-            mx.LeastSquares(design.A, design.b, design.coupling, weights, penalty)
-            for design, penalty in self.trials
-        ]
-        scores = [self.judge.scores(model)["ER10"].value for model in models]
-        return models[int(np.nanargmin(scores))]
 
 
 def problems(folder):
@@ -91,13 +62,12 @@ def main():
     warnings.simplefilter("ignore", SuspicionWarning)
     rows = defaultdict(list)
     for name, source, target in problems(folder):
-        near = mx.schemes.exclusion_radius(source, 0.05 * np.hypot(*np.ptp(source, axis=0)))
         for share in SHARES:
             for permuted in (False, True):
                 for seed in SEEDS if share else [0]:
                     rng = np.random.default_rng(seed)
                     spoilt, wrong = planted(target, share, permuted, rng)
-                    found = suspects(Chooser(source, spoilt), near, spoilt)
+                    found = mx.select_warp(source, spoilt, counts=[3]).suspects()
                     hits = len(np.intersect1d(found.indices, wrong))
                     precision = hits / len(found.indices) if len(found.indices) else math.nan
                     recall = hits / len(wrong) if len(wrong) else math.nan

@@ -99,7 +99,7 @@ class Suspects:
         See `Suspects`.
         """
         order = np.argsort(-self.scores, kind="stable")
-        return order[self.scores[order] > self.threshold]
+        return np.asarray(order[self.scores[order] > self.threshold])
 
     @property
     def share(self) -> float:
@@ -155,7 +155,7 @@ class Suspects:
         array([1.   , 0.922, 0.   ])
         """
         part = np.minimum(np.nan_to_num(self.scores) / self.threshold, 1.0)
-        return np.maximum((1 - part**2) ** 2, LEFT_OUT)
+        return np.asarray(np.maximum((1 - part**2) ** 2, LEFT_OUT))
 
 
 def studentised_squares(
@@ -299,7 +299,7 @@ def _settle(
     score: Callable[[Floats], Floats], weights: Floats, keep: Callable[[Floats], Any], most: int
 ) -> tuple[Floats, bool]:
     """Score and keep by turns until what is kept comes back: the last scores, and whether hardly a datum changed."""
-    seen = set()
+    seen: set[bytes] = set()
     while len(seen) < most:
         seen.add(weights.tobytes())
         scores = score(weights)
