@@ -31,6 +31,8 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
 	$(BIN)/python benches/nested.py
 	$(BIN)/python benches/reproduce.py
+	$(BIN)/python benches/smoothing.py map
+	$(BIN)/python benches/smoothing.py auto
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 
