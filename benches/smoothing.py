@@ -62,30 +62,28 @@ def time_auto() -> None:
 
 
 def compare_placements(number: int) -> None:
-    """Median true error and time on simulated sheets, for plain and smoothed models."""
+    """True errors and times on simulated sheets, of plain and of smoothed models."""
     every = simulation.configurations()
     chosen = np.random.default_rng(0).choice(len(every), number, replace=False)
-    settings = [("0", dict(smoothing=0.0)), ('"auto"', dict(smoothing="auto"))]
     for n in (50, 150):
         data = [simulation.correspondences(every[k], n, noise=1.0, seed=int(k)) for k in chosen]
-        for label, options in settings:
-            for placement in ("lloyd", "nested"):
-                errors, start = [], time.perf_counter()
-                for one in data:
-                    warp = mx.select_warp(
-                        one.source,
-                        one.target,
-                        "CMPRESS",
-                        placement=placement,
-                        image_size=one.image_size,
-                        **options,
-                    ).warp
-                    errors.append(np.sqrt(((warp(one.dense_source) - one.dense_target) ** 2).sum(1).mean()))
-                seconds = (time.perf_counter() - start) / number
-                print(
-                    f"n = {n}, smoothing {label}, {placement}: median true error {np.median(errors):.1f} px, "
-                    f"{seconds:.2f} s"
-                )
+        smoothed = {"smoothing": "auto", "criterion": "CMPRESS"}
+        settings = {
+            "no smoothing, Lloyd": {"criterion": "CMPRESS", "placement": "lloyd"},
+            "no smoothing, nested": {"criterion": "CMPRESS", "placement": "nested"},
+            "smoothing auto, Lloyd": {**smoothed, "placement": "lloyd"},
+            "smoothing auto, nested": smoothed,
+            "smoothing auto, nested, every count": {**smoothed, "counts": range(3, n + 1)},
+        }
+        for label, options in settings.items():
+            errors, start = [], time.perf_counter()
+            for one in data:
+                warp = mx.select_warp(one.source, one.target, image_size=one.image_size, **options).warp
+                errors.append(np.sqrt(((warp(one.dense_source) - one.dense_target) ** 2).sum(1).mean()))
+            seconds = (time.perf_counter() - start) / number
+            print(
+                f"n = {n}, {label}: median true error {np.median(errors):.1f} px, {seconds:.2f} s", flush=True
+            )
 
 
 if __name__ == "__main__":
