@@ -8,6 +8,7 @@ import pytest
 
 import mexpress as mx
 from mexpress.liftings import make_lifting
+from mexpress.placement import farthest_first
 
 s = mx.schemes
 N = 20
@@ -19,6 +20,7 @@ TARGET = 2 * POINTS + RNG.normal(size=(N, 2))
 MODEL = mx.LeastSquares(A, B)
 LOO = s.leave_one_out(N)
 HALF = {"loo": s.leave_one_out(N // 2)}
+WEIGHTS = np.array([0.0, 7.0, 90.0])
 SURFACE = mx.fit_surface(POINTS, TARGET[:, 0], POINTS[:5])
 
 
@@ -65,8 +67,8 @@ ARRAYS = {
     "exclusion_radius": ("points", POINTS, lambda x: s.exclusion_radius(x, 20).held_out.indices),
     "nearest": ("points", POINTS, lambda x: s.nearest(x, 3).held_out.indices),
     "delaunay": ("points", POINTS, lambda x: s.delaunay(x).held_out.indices),
-    "matched points": ("points", POINTS, lambda x: s.matched(x, POINTS + 9).held_out.indices),
-    "matched queries": ("queries", POINTS, lambda x: s.matched(POINTS + 9, x).held_out.indices),
+    "matched points": ("points", POINTS, lambda x: s.matched(x, TARGET).held_out.indices),
+    "matched queries": ("queries", TARGET, lambda x: s.matched(POINTS, x).held_out.indices),
     "select_warp source": (
         "source",
         POINTS,
@@ -76,6 +78,16 @@ ARRAYS = {
         "target",
         TARGET,
         lambda x: mx.select_warp(POINTS, x, counts=[3, 4]).curves["ER10"],
+    ),
+    "select_warp smoothing": (
+        "smoothing",
+        WEIGHTS,
+        lambda x: mx.select_warp(POINTS, TARGET, "CMPRESS", counts=[3, 5], smoothing=x).maps["CMPRESS"],
+    ),
+    "fit_warp smoothing": (
+        "smoothing",
+        WEIGHTS,
+        lambda x: mx.fit_warp(POINTS, TARGET, POINTS[:5], smoothing=x).parameters,
     ),
     "fit_warp source": ("source", POINTS, lambda x: mx.fit_warp(x, TARGET, POINTS[:4]).parameters),
     "fit_warp target": ("target", TARGET, lambda x: mx.fit_warp(POINTS, x, POINTS[:4]).parameters),
@@ -91,6 +103,17 @@ ARRAYS = {
     "cross_validate_nested penalty": ("penalty", np.eye(3), lambda x: nested(penalty=x)),
     "select_surface points": ("points", POINTS, lambda x: select(x).curves["NN02PTS"]),
     "select_surface values": ("values", TARGET, lambda x: select(values=x).curves["NN02PTS"]),
+    "select_surface smoothing": (
+        "smoothing",
+        WEIGHTS,
+        lambda x: select(smoothing=x).maps["NN02PTS"],
+    ),
+    "fit_surface smoothing": (
+        "smoothing",
+        WEIGHTS,
+        lambda x: mx.fit_surface(POINTS, TARGET, POINTS[:5], smoothing=x).parameters,
+    ),
+    "farthest_first": ("points", POINTS, lambda x: farthest_first(x, 6)),
     "fit_surface points": ("points", POINTS, lambda x: mx.fit_surface(x, TARGET, POINTS[:5]).parameters),
     "fit_surface values": ("values", B, lambda x: mx.fit_surface(POINTS, x, POINTS[:5]).parameters),
     "fit_surface control_points": (
@@ -125,8 +148,13 @@ ANY_LENGTH = {  # arrays of which any number of rows will do
     "exclusion_radius",
     "nearest",
     "delaunay",
+    "farthest_first",
     "matched points",
     "matched queries",
+    "select_warp smoothing",
+    "fit_warp smoothing",
+    "select_surface smoothing",
+    "fit_surface smoothing",
     "fit_warp control_points",
     "fit_surface control_points",
     "Lifting control_points",
@@ -174,9 +202,10 @@ NUMBERS = {
     "k_fold k": ("k", 3, lambda x: s.k_fold(9, x)),
     "nearest k": ("k", 3, lambda x: s.nearest(POINTS, x)),
     "nearest threads": ("threads", 2, lambda x: s.nearest(POINTS, 3, threads=x)),
-    "matched threads": ("threads", 2, lambda x: s.matched(POINTS, POINTS + 9, threads=x)),
-    "from_distance n": ("n", N, lambda x: s.from_distance(lambda i: np.zeros(N), 1, n=x)),
     "exclusion_radius threads": ("threads", 2, lambda x: s.exclusion_radius(POINTS, 3, threads=x)),
+    "matched threads": ("threads", 2, lambda x: s.matched(POINTS, TARGET, threads=x)),
+    "from_distance n": ("n", N, lambda x: s.from_distance(lambda _: np.arange(float(x)), 3, n=x)),
+    "farthest_first max_count": ("max_count", 5, lambda x: farthest_first(POINTS, x)),
     "leave_p_out n": ("n", 9, lambda x: s.leave_p_out(x, 2)),
     "leave_p_out p": ("p", 2, lambda x: s.leave_p_out(9, x)),
     "leave_p_out max_sets": ("max_sets", 4, lambda x: s.leave_p_out(9, 2, x)),
@@ -198,7 +227,7 @@ NUMBERS = {
     "Cloud n_valid": ("n_valid", 25, lambda x: mx.Cloud(POINTS, TARGET, None, x)),
     "Cloud n_missing": ("n_missing", 3, lambda x: mx.Cloud(POINTS, TARGET, None, N, x)),
 }
-OPTIONAL = {"threads", "workers", "max_sets", "from_sets n", "from_splits n"}
+OPTIONAL = {"threads", "workers", "max_sets", "from_sets n", "from_splits n", "select_surface max_count"}
 FROM_ZERO = {"n_missing"}
 
 BAD_COUNTS = [
@@ -236,6 +265,31 @@ BAD_COUPLINGS = [
     np.where(np.arange(N) == 4, 2**63, 0).astype(np.uint64),
     np.ma.array(np.arange(N), mask=np.arange(N) == 3),
     np.arange(N).astype(object),
+]
+
+BAD_SMOOTHING = [
+    -1,
+    np.nan,
+    np.inf,
+    None,
+    True,
+    1j,
+    "AUTO",
+    "auto ",
+    "1",
+    b"auto",
+    [],
+    ["auto"],
+    ["1", "2"],
+    [-1.0, 2.0],
+    [1.0, np.nan],
+    [1.0, np.inf],
+    [[1.0, 2.0]],
+    [[1.0], [2.0, 3.0]],
+    [None],
+    [1j],
+    {1.0: 2.0},
+    ...,
 ]
 
 BAD_SEEDS = [-1, 1.5, "seed", [None], ...]

@@ -9,6 +9,7 @@ from hostile import (
     BAD_COUPLINGS,
     BAD_INDICES,
     BAD_SEEDS,
+    BAD_SMOOTHING,
     FORMS,
     FROM_ZERO,
     INDICES,
@@ -101,6 +102,9 @@ def test_other_numbers_mean_what_they_are_as_float64(name, dtype):
 @pytest.mark.parametrize("name", ARRAYS)
 def test_what_is_no_array_of_numbers_is_refused(name, wrong):
     argument, value, call = ARRAYS[name]
+    if wrong == "a number" and argument == "smoothing":
+        np.testing.assert_array_equal(call(3.0), call([3.0]))
+        return
     if wrong == "none" and argument in {"weights", "penalty"}:
         call(None)  # the default
         return
@@ -492,13 +496,13 @@ def test_sets_of_rows_made_by_hand():
     [
         *(
             ("criterion", x)
-            for x in ("", "ER", "mine", None, 10, b"ER10", ["ER10"], np.array(["ER10", "FIT"]))
+            for x in ("", "ER", "mine", 10, b"ER10", ["ER10"], np.array(["ER10", "FIT"]))
         ),
         *(("criteria", x) for x in ("FIT", b"FIT", 5, [5], [None], ["ERR"], ..., {"mine": [[1]]}, {1: LOO})),
         ("criteria", {"mine": s.leave_one_out(N + 1)}),
         *(("lifting", x) for x in ("", "spline", None, 3, ["tps"], np.array(["tps", "x"]))),
         *(("counts", x) for x in ([], [2], [3, 3], [0], [-3], [3.0], "345", 3, [[3]], [True], ..., {3: 4})),
-        *(("placement", x) for x in ("", "grid", None, 3, np.array(["lloyd", "x"]))),
+        *(("placement", x) for x in ("", "grid", "residual", "Nested", 3, ["nested"], np.array(["lloyd", "x"]))),
         *(
             ("image_size", x)
             for x in (5, (1,), (1, 2, 3), (0, 5), (-1, 5), (np.nan, 5), (np.inf, 5), "ab", ("1", "2"), {})
@@ -506,7 +510,7 @@ def test_sets_of_rows_made_by_hand():
         *(("seed", x) for x in (-1, 1.5, "a")),
         *(("threads", x) for x in (0, -1, 1.5, "2", True)),
         *((name, x) for name in ("fractional", "progress") for x in (0, 1.0, "no", None, [True])),
-        *(("smoothing", x) for x in (-1, np.nan, np.inf, "auto", None, True, [1.0, 2.0])),
+        *(("smoothing", x) for x in BAD_SMOOTHING),
     ],
     ids=lambda x: repr(x)[:30],
 )
@@ -516,7 +520,7 @@ def test_bad_options_of_select_warp(name, wrong):
 
 
 def test_a_bad_criterion_beside_schemes_of_ones_own():
-    for wrong in (["ER10"], None, {}, np.array(["a", "b"])):
+    for wrong in (["ER10"], {}, np.array(["a", "b"])):
         refused(
             lambda w=wrong: mx.select_warp(POINTS, TARGET, w, {"mine": LOO}, counts=[3]),
             "criterion",
@@ -527,6 +531,53 @@ def test_a_bad_criterion_beside_schemes_of_ones_own():
 def test_more_control_points_than_matches():
     refused(lambda: mx.select_warp(POINTS, TARGET, counts=[N + 1]))
     refused(lambda: mx.select_warp(POINTS, TARGET, counts=[2**62]))
+
+
+@pytest.mark.parametrize("lifting", ["bspline", "affine"])
+def test_liftings_on_grids_are_not_nested(lifting):
+    options = {"lifting": lifting, "criterion": "CMPRESS"}
+    for smoothing in (0.0, [1.0, 2.0], "auto"):
+        for wrong in ("nested", "residual"):
+            given = options | {"smoothing": smoothing, "placement": wrong}
+            refused(lambda o=given: select(**o), "placement", ValueError)
+        given = options | {"smoothing": smoothing, "placement": "nested"}
+        refused(lambda o=given: mx.select_warp(POINTS, TARGET, **o), "placement", ValueError)
+
+
+def test_no_more_nested_control_points_than_distinct_data():
+    source, target = np.repeat(POINTS, 2, axis=0), np.repeat(TARGET, 2, axis=0)
+    selection = mx.select_warp(
+        source, target, "KF05", counts=[3, 5, N, 2 * N], placement="nested", smoothing=10
+    )
+    assert selection.counts.tolist() == [3, 5, N]
+    surface = mx.select_surface(
+        source, target, "KF05", max_count=2 * N, placement="nested", smoothing=10
+    )
+    assert surface.counts.tolist() == list(range(3, N + 1))
+
+
+@pytest.mark.parametrize("wrong", BAD_SMOOTHING, ids=repr)
+def test_bad_smoothing_of_fits(wrong):
+    refused(lambda: mx.fit_warp(POINTS, TARGET, POINTS[:5], smoothing=wrong), "smoothing")
+    refused(lambda: mx.fit_surface(POINTS, TARGET, POINTS[:5], smoothing=wrong), "smoothing")
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.0, [1.0, 2.0], "auto"])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        *(("criterion", x) for x in ("", "ER", "mine", 10, b"ER10", ["ER10"])),
+        *(("seed", x) for x in BAD_SEEDS),
+        *(("threads", x) for x in (0, -1, 1.5, "2", True)),
+    ],
+    ids=repr,
+)
+def test_bad_options_of_fits(name, wrong, smoothing):
+    # What scores the weights is checked even if there is one.
+    options = {"smoothing": smoothing, name: wrong}
+    either = rf"(criterion|criteria|{name})"
+    refused(lambda: mx.fit_warp(POINTS, TARGET, POINTS[:5], **options), either)
+    refused(lambda: mx.fit_surface(POINTS, TARGET, POINTS[:5], **options), either)
 
 
 def test_load_refuses_what_is_no_model(tmp_path):

@@ -7,6 +7,7 @@ from hostile import (
     BAD_COUPLINGS,
     BAD_INDICES,
     BAD_SEEDS,
+    BAD_SMOOTHING,
     HALF,
     LOO,
     POINTS,
@@ -84,7 +85,6 @@ def test_weights_are_positive_and_comparable(bad):
                 "",
                 "ER",
                 "mine",
-                None,
                 10,
                 b"ER10",
                 ["ER10"],
@@ -96,9 +96,11 @@ def test_weights_are_positive_and_comparable(bad):
         *(("criteria", x) for x in ("FIT", b"FIT", 5, [5], [None], ["ERR"], ..., {"mine": [[1]]}, {1: LOO})),
         *(("criteria", {"mine": s.leave_one_out(n)}) for n in (N // 2, N - 1, N + 1, 2 * N)),
         ("criteria", {"ER10": LOO}),
-        *(("max_count", x) for x in (1, 2, *BAD_COUNTS)),
+        *(("max_count", x) for x in (1, 2, *(x for x in BAD_COUNTS if x is not None))),
         *(("min_distance", x) for x in (-1, -1e-300, np.nan, np.inf, "3", True, [1, 2], 3j, {})),
-        *(("smoothing", x) for x in (-1, np.nan, np.inf, "auto", None, True, [1.0, 2.0], 1j)),
+        *(("smoothing", x) for x in BAD_SMOOTHING),
+        *(("placement", x) for x in ("", "grid", "Nested", 3, ["nested"], np.array(["lloyd", "x"]))),
+        *(("lifting", x) for x in ("", "spline", None, 3, ["tps"], np.array(["tps", "x"]))),
         *(("seed", x) for x in BAD_SEEDS),
         *(("threads", x) for x in (0, -1, 1.5, "2", True)),
         *(("progress", x) for x in (0, 1.0, "no", None, [True])),
@@ -110,7 +112,7 @@ def test_bad_options_of_select_surface(name, wrong):
 
 
 def test_a_bad_criterion_beside_schemes_of_ones_own():
-    for wrong in (["ER10"], None, {}, np.array(["a", "b"])):
+    for wrong in (["ER10"], {}, np.array(["a", "b"])):
         refused(lambda w=wrong: select(criterion=w, criteria={"mine": LOO}), "criterion", TypeError)
 
 

@@ -84,14 +84,14 @@ def test_leading_columns_of_the_design_fit_the_surface_of_the_leading_control_po
     design = nested_surface_design(points, values, centres)
     model = mx.LeastSquares(design.A[:, :count], design.b, coupling=design.coupling)
     surface, expected = (
-        design.surface(model.coefficients, count),
+        design.model(model.coefficients, count),
         fit_surface(points, values, centres[:count]),
     )
     np.testing.assert_allclose(surface.parameters, expected.parameters, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(surface.domain, expected.domain)
     np.testing.assert_allclose(values - surface(points), model.residuals, rtol=0, atol=1e-9)
     padded = np.concatenate([model.coefficients, np.zeros((25 - count, *shape))])
-    np.testing.assert_array_equal(design.surface(padded, count).parameters, surface.parameters)
+    np.testing.assert_array_equal(design.model(padded, count).parameters, surface.parameters)
 
 
 def test_the_bending_of_a_design_is_that_of_its_surfaces():
@@ -99,7 +99,7 @@ def test_the_bending_of_a_design_is_that_of_its_surfaces():
     design = nested_surface_design(points, points[:, 0], centres)
     x = np.random.default_rng(2).normal(size=12)
     for count in (3, 4, 12):
-        surface = design.surface(x, count)
+        surface = design.model(x, count)
         rows = ThinPlateSpline(surface.control_points).bending()
         expected = np.sum((rows @ surface.parameters) ** 2)
         energy = np.sum((design.bending()[: count - 3, :count] @ x[:count]) ** 2)
@@ -115,7 +115,7 @@ def test_smoothing_by_the_rows_of_bending_is_the_same_in_both_coordinates():
     free = mx.LeastSquares(design.A, values)
     assert np.abs(nested.residuals - free.residuals).max() > 1e-2
     np.testing.assert_allclose(nested.residuals, cardinal.residuals, rtol=0, atol=1e-9)
-    surface = design.surface(nested.coefficients, 12)
+    surface = design.model(nested.coefficients, 12)
     np.testing.assert_allclose(surface.parameters, cardinal.coefficients, rtol=0, atol=1e-9)
 
 
@@ -149,7 +149,7 @@ def test_constant_values_give_constant_surfaces(value):
 
 @pytest.mark.parametrize(("data", "count"), [(3, 4), (8, 9), (20, 30)])
 def test_too_few_data_are_an_error_with_their_rank(data, count):
-    with pytest.raises(ValueError, match=r"Invalid control_points\. The data must determine .* rank \d+\."):
+    with pytest.raises(ValueError, match=r"Invalid control_points\. The data must determine .* rank \d+ in all\."):
         fit_surface(positions(data), np.ones(data), control_points(count))
 
 

@@ -99,7 +99,7 @@ def test_the_residual_is_the_algebraic_error_in_pixels_of_the_target(count):
     target = project(HOMOGRAPHY, source) + np.random.default_rng(0).normal(size=(50, 2))
     design = warp_design(ThinPlateSpline(control_points(count)), source, target)
     x = np.random.default_rng(1).normal(size=design.A.shape[1]) * 0.1
-    model = design.warp(x)
+    model = design.model(x)
     denominator = model.denominator(source)
     expected = denominator[:, None] * (target - model(source))
     np.testing.assert_allclose((design.b - design.A @ x).reshape(-1, 2), expected, atol=1e-8)
@@ -111,7 +111,7 @@ def test_the_residual_of_a_warp_without_denominator_is_the_transfer_error():
     source, target = positions(50), positions(50, seed=1)
     design = warp_design(ThinPlateSpline(control_points(7)), source, target, fractional=False)
     x = np.random.default_rng(1).normal(size=(7, 2))
-    np.testing.assert_allclose(design.b - design.A @ x, target - design.warp(x)(source), atol=1e-9)
+    np.testing.assert_allclose(design.b - design.A @ x, target - design.model(x)(source), atol=1e-9)
     assert design.coupling == 1
 
 
@@ -167,7 +167,7 @@ def test_bending_rows_measure_the_functions_of_the_warp(fractional):
     source, target = positions(40), project(HOMOGRAPHY, positions(40)) + np.array([5e3, -2e3])
     design = warp_design(ThinPlateSpline(control_points(6)), source, target, fractional)
     x = np.random.default_rng(1).normal(size=(design.A.shape[1], *design.b.shape[1:]))
-    warp, rows = design.warp(x), design.lifting.bending()
+    warp, rows = design.model(x), design.lifting.bending()
     functions = warp.parameters.copy()
     if fractional:
         functions[:, :2] -= functions[:, 2:] * target.mean(axis=0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.criteria import Judge
+from mexpress.criteria import Judge, parse
 from mexpress.designs import Design, matched, measured_data, surface_design, warp_design
 from mexpress.liftings import make_lifting
 from mexpress.placement import area
@@ -150,6 +150,8 @@ def _fit(
     data: str,
 ) -> Model:
     """Fit one design, with the best of the weights if there are several."""
+    parse(jury.criterion)
+    check.generator(jury.seed)
     n = len(jury.points)
     weights = weights_of(smoothing, n, area(region), design.count)
     place = 0, 0

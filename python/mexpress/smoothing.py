@@ -76,4 +76,5 @@ def weights_of(smoothing: float | ArrayLike | str, n: int, area: float, largest:
     listed = check.real(smoothing, "smoothing")
     if listed.ndim != 1 or listed.size == 0:
         check.refuse("smoothing", rule, check.describe(smoothing))
+    listed = check.finite(listed, "smoothing")
     return np.unique([check.number(weight, "smoothing", rule, 0.0) for weight in listed.tolist()])

@@ -91,10 +91,12 @@ class Spectrum:
         small = np.abs(np.diagonal(triangle)) <= rounding * np.linalg.norm(triangle, axis=0)
         self.determined = len(triangle) == p and not small.any()
         # Directions that A does not see have coefficient zero at any weight, and are left out.
-        self._left, self._cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
-        self._sines = np.linalg.norm(basis[m:] @ right.T, axis=0)
+        self._left, cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
+        sines = np.linalg.norm(basis[m:] @ right.T, axis=0)
+        # Rounding, times the root of an extreme weight, would be a penalty on what bends nothing.
+        self._cosines, self._sines = (np.where(part > rounding, part, 0.0) for part in (cosines, sines))
         self._back = np.linalg.solve(triangle, right.T) if self.determined else right.T
-        self.rank = int((self._cosines > rounding).sum())
+        self.rank = int(np.count_nonzero(self._cosines))
 
     def at(self, weight: float, threads: int | None = None) -> Fitted:
         """Return the fit at a weight above zero.
