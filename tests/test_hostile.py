@@ -494,15 +494,15 @@ def test_sets_of_rows_made_by_hand():
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        *(
-            ("criterion", x)
-            for x in ("", "ER", "mine", 10, b"ER10", ["ER10"], np.array(["ER10", "FIT"]))
-        ),
+        *(("criterion", x) for x in ("", "ER", "mine", 10, b"ER10", ["ER10"], np.array(["ER10", "FIT"]))),
         *(("criteria", x) for x in ("FIT", b"FIT", 5, [5], [None], ["ERR"], ..., {"mine": [[1]]}, {1: LOO})),
         ("criteria", {"mine": s.leave_one_out(N + 1)}),
         *(("lifting", x) for x in ("", "spline", None, 3, ["tps"], np.array(["tps", "x"]))),
         *(("counts", x) for x in ([], [2], [3, 3], [0], [-3], [3.0], "345", 3, [[3]], [True], ..., {3: 4})),
-        *(("placement", x) for x in ("", "grid", "residual", "Nested", 3, ["nested"], np.array(["lloyd", "x"]))),
+        *(
+            ("placement", x)
+            for x in ("", "grid", "residual", "Nested", 3, ["nested"], np.array(["lloyd", "x"]))
+        ),
         *(
             ("image_size", x)
             for x in (5, (1,), (1, 2, 3), (0, 5), (-1, 5), (np.nan, 5), (np.inf, 5), "ab", ("1", "2"), {})
@@ -550,9 +550,7 @@ def test_no_more_nested_control_points_than_distinct_data():
         source, target, "KF05", counts=[3, 5, N, 2 * N], placement="nested", smoothing=10
     )
     assert selection.counts.tolist() == [3, 5, N]
-    surface = mx.select_surface(
-        source, target, "KF05", max_count=2 * N, placement="nested", smoothing=10
-    )
+    surface = mx.select_surface(source, target, "KF05", max_count=2 * N, placement="nested", smoothing=10)
     assert surface.counts.tolist() == list(range(3, N + 1))
 
 

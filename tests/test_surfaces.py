@@ -149,7 +149,9 @@ def test_constant_values_give_constant_surfaces(value):
 
 @pytest.mark.parametrize(("data", "count"), [(3, 4), (8, 9), (20, 30)])
 def test_too_few_data_are_an_error_with_their_rank(data, count):
-    with pytest.raises(ValueError, match=r"Invalid control_points\. The data must determine .* rank \d+ in all\."):
+    with pytest.raises(
+        ValueError, match=r"Invalid control_points\. The data must determine .* rank \d+ in all\."
+    ):
         fit_surface(positions(data), np.ones(data), control_points(count))
 
 
