@@ -75,7 +75,7 @@ def test_many_data_take_no_long():
     points = np.random.default_rng(2).uniform(0, 1, (300_000, 2))
     start = time.process_time()
     chosen = farthest_first(points, 300)
-    assert time.process_time() - start < 20
+    assert time.process_time() - start < 10
     assert len(chosen) == 300
     nearest = cdist(points[chosen], points[chosen])[np.triu_indices(300, 1)].min()
     # A hexagonal packing of so many points is 0.062 apart, and the greedy one is at least half as good.
