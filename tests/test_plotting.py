@@ -131,7 +131,7 @@ def test_undefined_and_infinite_values_are_left_out(selection, tmp_path):
     changed["PRESS"] = np.full(len(selection.counts), np.nan)
     changed["CMPRESS"] = np.where(np.arange(len(selection.counts)) % 2, np.nan, changed["CMPRESS"])
     changed["AIC"] = np.where(selection.counts == 19, -np.inf, changed["AIC"])
-    figure = plotting.plot_selection(dataclasses.replace(selection, curves=changed), tmp_path / "curves.png")
+    figure = plotting.plot_selection(dataclasses.replace(selection, maps=changed), tmp_path / "curves.png")
     assert "PRESS (per row): none" in curve_labels(figure)
     assert is_drawn(tmp_path / "curves.png")
 

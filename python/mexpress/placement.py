@@ -224,23 +224,32 @@ def farthest_first(points: ArrayLike, max_count: int) -> Integers:
     points = check.points(points, "points")
     covered_region(points)
     max_count = check.count(max_count, "max_count", 3)
-    first = int(_distances(points, points.mean(axis=0)).argmax())
-    second = int(_distances(points, points[first]).argmax())
-    (x, y), (a, b) = (points - points[first]).T, points[second] - points[first]
-    chosen = [first, second, int(np.abs(b * x - a * y).argmax())]
-    nearest = np.min([_distances(points, points[k]) for k in chosen], axis=0)
-    coincident = COINCIDENT * float(np.hypot(*np.ptp(points, axis=0)))
+    diagonal = float(np.hypot(*np.ptp(points, axis=0)))
+    # A power of two, so that ties stay ties; squares then neither overflow nor underflow.
+    x, y = np.ldexp(points, -int(np.frexp(diagonal)[1])).T.copy()
+    first = int(_squares(x, y, x.mean(), y.mean()).argmax())
+    second = int(_squares(x, y, x[first], y[first]).argmax())
+    a, b = x[second] - x[first], y[second] - y[first]
+    chosen = [first, second, int(np.abs(b * (x - x[first]) - a * (y - y[first])).argmax())]
+    nearest = np.min([_squares(x, y, x[k], y[k]) for k in chosen], axis=0)
+    coincident = COINCIDENT**2 * (np.ptp(x) ** 2 + np.ptp(y) ** 2)
     while len(chosen) < min(max_count, len(points)):
         k = int(nearest.argmax())
         if nearest[k] <= coincident:
             break
         chosen.append(k)
-        np.minimum(nearest, _distances(points, points[k]), out=nearest)
+        np.minimum(nearest, _squares(x, y, x[k], y[k]), out=nearest)
     return np.array(chosen, dtype=np.int64)
 
 
-def _distances(points: Floats, point: Floats) -> Floats:
-    return np.asarray(np.hypot(*(points - point).T))
+def _squares(x: Floats, y: Floats, a: float, b: float) -> Floats:
+    """Squared distances to a point."""
+    squares = x - a
+    squares *= squares
+    rest = y - b
+    rest *= rest
+    squares += rest
+    return squares
 
 
 def by_residual(

@@ -88,7 +88,8 @@ class Spectrum:
         self._unit = float(np.linalg.norm(A) / size) if size else 1.0
         basis, triangle = np.linalg.qr(np.vstack([A, self._unit * Z]))
         rounding = (m + p) * np.finfo(float).eps
-        small = np.abs(np.diagonal(triangle)) <= rounding * np.linalg.norm(triangle, axis=0)
+        pivots, lengths = np.diagonal(triangle), np.linalg.norm(triangle, axis=0)
+        small = np.abs(pivots) <= rounding * lengths[: len(pivots)]
         self.determined = len(triangle) == p and not small.any()
         # Directions that A does not see have coefficient zero at any weight, and are left out.
         self._left, cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
