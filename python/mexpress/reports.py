@@ -7,11 +7,13 @@ import math
 import os
 import platform
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS
@@ -28,6 +30,9 @@ PathLike = str | os.PathLike[str]
 
 def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None = None) -> str:
     """Return the criteria by number of control points; * marks what a criterion selects, - what is undefined.
+
+    With several weights of smoothing each count has the one that is best for the selecting criterion; with four counts
+    or fewer there is a line for every weight instead, at the selected count, with its effective number of parameters.
 
     Parameters
     ----------
@@ -54,30 +59,81 @@ def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None =
          3   ...
          4   ...
     """
-    counts = [int(count) for count in selection.counts]
-    rows = _shown_rows(len(counts), [counts.index(c) for c in selection.selected.values() if c], most_rows)
-    write = _writers(selection.curves)
-    cells = [["points", *(f"{name} " for name in selection.curves)]]
+    lines = _by_weight(selection) if _weights_tell_more(selection) else _by_count(selection)
+    rows = _shown_rows(len(lines.heads), [k for k in lines.chosen.values() if k is not None], most_rows)
+    write = _writers(lines.curves)
+    cells = [[*lines.titles, *(f"{name} " for name in lines.curves)]]
     for row in rows:
         scores = (
-            _cell(write[name], float(curve[row]), counts[row] == selection.selected[name])
-            for name, curve in selection.curves.items()
+            _cell(write[name], float(curve[row]), row == lines.chosen[name])
+            for name, curve in lines.curves.items()
         )
-        cells.append([str(counts[row]), *scores])
-    lines = _aligned(cells, width)
-    if len(rows) < len(counts):
-        lines.append(f"({len(rows)} of {len(counts)} numbers of control points; all are in the curves)")
-    return "\n".join(lines)
+        cells.append([*lines.heads[row], *scores])
+    text = _aligned(cells, width, len(lines.titles))
+    if len(rows) < len(lines.heads):
+        text.append(f"({len(rows)} of {len(lines.heads)} {lines.what}; all are in the curves)")
+    return "\n".join(text)
 
 
-def _aligned(cells: list[list[str]], width: int | None) -> list[str]:
-    """Return lines of columns; those beyond the width follow below, beside the first column again."""
+@dataclass(frozen=True)
+class _Lines:
+    """What a table has: titles of the leading columns, and by line these columns, scores, and what is chosen."""
+
+    titles: list[str]
+    heads: list[list[str]]
+    curves: dict[str, Floats]
+    chosen: dict[str, int | None]
+    what: str
+
+
+def _weights_tell_more(selection: Selection) -> bool:
+    return len(selection.weights) > 1 and len(selection.counts) <= 4
+
+
+def _by_count(selection: Selection) -> _Lines:
+    counts = selection.counts.tolist()
+    titles, heads = ["points"], [[str(count)] for count in counts]
+    curves = selection.curves
+    if len(selection.weights) > 1:
+        best = [selection.best_weight(k) for k in range(len(counts))]
+        heads = [
+            [*head, "-" if w is None else f"{selection.weights[w]:.3g}"]
+            for head, w in zip(heads, best, strict=True)
+        ]
+        titles = [*titles, "smoothing"]
+        curves = {
+            name: np.array([np.nan if w is None else row[w] for row, w in zip(scores, best, strict=True)])
+            for name, scores in selection.maps.items()
+        }
+    chosen = {
+        name: None if count is None else counts.index(count) for name, count in selection.selected.items()
+    }
+    return _Lines(titles, heads, curves, chosen, "numbers of control points")
+
+
+def _by_weight(selection: Selection) -> _Lines:
+    k = selection.place[0]
+    parameters = np.full(len(selection.weights), np.nan)
+    if selection.parameters is not None:
+        parameters = selection.parameters[k]
+    heads = [
+        [f"{weight:.3g}", "-" if np.isnan(count) else f"{count:.1f}"]
+        for weight, count in zip(selection.weights, parameters, strict=True)
+    ]
+    curves = {name: scores[k] for name, scores in selection.maps.items()}
+    chosen = {name: None if np.isnan(c).all() else int(np.nanargmin(c)) for name, c in curves.items()}
+    chosen[selection.criterion] = selection.place[1]
+    return _Lines(["smoothing", "parameters"], heads, curves, chosen, "weights")
+
+
+def _aligned(cells: list[list[str]], width: int | None, leading: int) -> list[str]:
+    """Return lines of columns; those beyond the width follow below, beside the leading columns again."""
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    blocks: list[list[int]] = [[0]]
-    for column in range(1, len(widths)):
+    blocks: list[list[int]] = [list(range(leading))]
+    for column in range(leading, len(widths)):
         used = sum(widths[k] + 2 for k in blocks[-1])
-        if width is not None and len(blocks[-1]) > 1 and used + widths[column] > width:
-            blocks.append([0])
+        if width is not None and len(blocks[-1]) > leading and used + widths[column] > width:
+            blocks.append(list(range(leading)))
         blocks[-1].append(column)
     parts = (
         ["  ".join(line[k].rjust(widths[k]) for k in block).rstrip() for line in cells] for block in blocks
@@ -115,6 +171,9 @@ def _cell(write: Callable[[float], str], value: float, selected: bool) -> str:
 def write_curves(path: PathLike, selection: Selection) -> None:
     """Write the curves as CSV: a row per number of control points, a column per criterion, nan if undefined.
 
+    With several weights of smoothing there is a row per count and weight, and columns of the weight and of the
+    effective number of parameters after that of the count.
+
     Parameters
     ----------
     path : str or path
@@ -126,9 +185,14 @@ def write_curves(path: PathLike, selection: Selection) -> None:
     --------
     See `mexpress.cli.main`.
     """
-    columns = [selection.counts.tolist(), *(curve.tolist() for curve in selection.curves.values())]
+    several, shape = len(selection.weights) > 1, (len(selection.counts), len(selection.weights))
+    head: dict[str, NDArray[Any]] = {"count": np.repeat(selection.counts, shape[1])}
+    if several:
+        parameters = np.full(shape, np.nan) if selection.parameters is None else selection.parameters
+        head |= {"smoothing": np.tile(selection.weights, shape[0]), "parameters": parameters}
+    columns = {name: np.ravel(column).tolist() for name, column in {**head, **selection.maps}.items()}
     with Path(path).open("w", encoding="utf-8", newline="\n") as file:
-        write_rows(file, ["count", *selection.curves], zip(*columns, strict=True))
+        write_rows(file, list(columns), zip(*columns.values(), strict=True))
 
 
 def summary(selection: Selection) -> dict[str, Any]:
@@ -146,7 +210,10 @@ def summary(selection: Selection) -> dict[str, Any]:
         selects; `score`: its value there. `selected`: by criterion, what it would select. `counts`: what was
         tried, and `curves`: by criterion, its values there, in pixels for warps and in the data's unit for
         surfaces; AIC and BIC have no unit. `undefined`:
-        by criterion and count, the data (from 0) whose prediction lacks the rank.
+        by criterion and count, the data (from 0) whose prediction lacks the rank. `smoothing`: the selected weight of
+        the bending energy, `selected_smoothing`: by criterion; `weights`: what was tried; `open`: by count, how many
+        unknowns only the bending energy determines. With several weights also `maps`: by criterion, its values by
+        count and weight.
 
     Examples
     --------
@@ -155,19 +222,29 @@ def summary(selection: Selection) -> dict[str, Any]:
     >>> summary(mx.select_warp(source, source**1.1, counts=[3, 4]))["counts"]
     [3, 4]
     """
-    chosen = selection.curves[selection.criterion][selection.counts == selection.count]
+    several = len(selection.weights) > 1
+    maps = (
+        {"maps": {name: _plain(scores.tolist()) for name, scores in selection.maps.items()}}
+        if several
+        else {}
+    )
     return {
         "versions": versions(),
         "criterion": selection.criterion,
         "count": selection.count,
-        "score": _plain(float(chosen[0])),
+        "smoothing": selection.smoothing,
+        "score": _plain(selection.score),
         "selected": dict(selection.selected),
+        "selected_smoothing": dict(selection.selected_smoothing),
         "counts": selection.counts.tolist(),
+        "weights": selection.weights.tolist(),
+        "open": {str(count): unknowns for count, unknowns in selection.open.items()},
         "curves": {name: _plain(curve.tolist()) for name, curve in selection.curves.items()},
         "undefined": {
             name: {str(count): data.tolist() for count, data in by_count.items()}
             for name, by_count in selection.undefined.items()
         },
+        **maps,
     }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from mexpress import reports
 from mexpress._validation import Floats
 from mexpress.selection import Selection
+from mexpress.smoothing import AUTO
 
 __all__ = [
     "Parser",
@@ -47,22 +48,23 @@ def note(message: str) -> None:
     print(f"mexpress: {message}", file=sys.stderr)
 
 
-def add_selection(parser: Parser) -> None:
-    """Add the options that every selection has."""
+def add_selection(parser: Parser, placements: str) -> None:
+    """Add the options that every selection has; `placements` tells of the ways to spread control points."""
     add = parser.add_argument
     add(
         "--criterion",
-        default="ER10",
-        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, MATCHED, ... (default: ER10)",
+        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, ... (default: ER10, or MATCHED with --smoothing auto)",
     )
     add("--criteria", type=_names, metavar="A,B,...", help="also shown (default: FIT,PRESS,CMPRESS)")
     add(
         "--smoothing",
-        type=float,
+        type=_smoothing,
         default=0.0,
-        metavar="W",
-        help="weight of the bending energy: larger is stiffer (default: 0)",
+        metavar="W[,W...]|auto",
+        help="weight of the bending energy: larger is stiffer; the best of several, or of twenty (default: 0)",
     )
+    add("--lifting", default="tps", help="functions that bend the plane: tps, bspline, affine (default: tps)")
+    add("--placement", metavar="NAME", help=f"how control points are spread: {placements}")
     add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
     add(
         "--threads",
@@ -75,6 +77,18 @@ def add_selection(parser: Parser) -> None:
     add("--quiet", action="store_true", help="show no progress")
 
 
+def _smoothing(text: str) -> float | list[float] | str:
+    if text.strip().lower() == AUTO:
+        return AUTO
+    try:
+        weights = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a weight, weights such as 0,10,100, or auto, not {text!r}"
+        ) from None
+    return weights[0] if len(weights) == 1 else weights
+
+
 def _names(text: str) -> list[str]:
     return [name for name in re.split(r"[,\s]+", text) if name]
 
@@ -85,10 +99,12 @@ def print_selection(selection: Selection, remark: str = "") -> None:
     print(reports.table(selection, width=width))
     if remark:
         print(f"({remark})")
-    best = selection.curves[selection.criterion][selection.counts == selection.count][0]
-    print(
-        f"\n{selection.criterion} selects {selection.count} control points: {selection.criterion} {best:.4g}."
-    )
+    name, smoothing = selection.criterion, ""
+    if len(selection.weights) > 1:
+        smoothing = f" and smoothing {selection.smoothing:.3g}"
+        if selection.parameters is not None:
+            smoothing += f", {selection.parameters[selection.place]:.1f} effective parameters"
+    print(f"\n{name} selects {selection.count} control points{smoothing}: {name} {selection.score:.4g}.")
 
 
 def note_selection(selection: Selection, lost: str, advice: str) -> None:
@@ -104,7 +120,15 @@ def note_selection(selection: Selection, lost: str, advice: str) -> None:
         What to do when the largest number of control points tried is the selected one.
     """
     counts = selection.counts
-    if selection.count == counts[-1] and len(counts) > 1:
+    weights, by_weight = selection.weights, len(selection.weights) > 1
+    if selection.open.get(selection.count):
+        unknowns = selection.open[selection.count]
+        note(
+            f"the data leave {unknowns} unknowns open at {selection.count} control points: smoothing determines them."
+        )
+    if by_weight and selection.smoothing == weights[0] > 0 and selection.count > counts[0]:
+        note("the smallest smoothing tried is selected: less may be better, see --smoothing.")
+    if selection.count == counts[-1] and len(counts) > 1 and not by_weight:
         note(f"{selection.count} is the largest number tried: more may be better, see {advice}.")
     for name, by_count in selection.undefined.items():
         first = min(by_count)

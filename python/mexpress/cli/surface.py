@@ -14,6 +14,7 @@ from mexpress._validation import Floats
 from mexpress.cli import common
 from mexpress.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
+from mexpress.selection.surface import MOST
 from mexpress.tables import ARCHIVES
 
 __all__ = ["add_surface"]
@@ -59,9 +60,8 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
     add(
         "--max-count",
         type=int,
-        default=175,
         metavar="N",
-        help="largest number of control points (default: 175)",
+        help="largest number of control points (default: 175; with --smoothing auto as many as data, at most 900)",
     )
     add(
         "--min-distance",
@@ -69,7 +69,9 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         metavar="D",
         help="of control points to each other (default: 2.5 %% of the diagonal)",
     )
-    common.add_selection(parser)
+    common.add_selection(
+        parser, "residual, nested or lloyd (default: residual, or nested with --smoothing auto)"
+    )
     parser.set_defaults(run=_run)
 
 
@@ -95,6 +97,8 @@ def _run(arguments: argparse.Namespace) -> None:
         max_count=arguments.max_count,
         min_distance=arguments.min_distance,
         smoothing=arguments.smoothing,
+        lifting=arguments.lifting,
+        placement=arguments.placement,
         seed=arguments.seed,
         threads=arguments.threads,
         progress=not arguments.quiet,
@@ -164,7 +168,7 @@ def _print(
 
 
 def _note(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
-    ended = selection.counts[-1] < arguments.max_count
+    ended = selection.placement == "residual" and selection.counts[-1] < (arguments.max_count or MOST)
     common.note_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
     if ended:
         common.note(

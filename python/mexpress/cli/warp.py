@@ -40,16 +40,14 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
     add = parser.add_argument
     add("matches", metavar="MATCHES", type=Path, help="text with columns x1 y1 x2 y2, .npz or .npy")
     add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
-    add("--lifting", default="tps", help="functions that bend the plane (default: tps)")
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
-    add("--placement", default="lloyd", help="how control points are spread (default: lloyd)")
     add(
         "--counts",
         type=_counts,
         metavar="A:B[:STEP]",
         help="numbers of control points, B included; or a list, 3,5,9",
     )
-    common.add_selection(parser)
+    common.add_selection(parser, "lloyd or nested (default: lloyd, or nested with several weights)")
     add("--source-image", type=Path, metavar="FILE", help="for registered.png")
     add("--target-image", type=Path, metavar="FILE", help="for registered.png")
     parser.set_defaults(run=_run)

@@ -1,13 +1,15 @@
-"""Criteria against the number of control points."""
+"""Criteria against the number of control points, and against the weight of the bending energy."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mexpress._validation import Floats, Integers
+from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS, Criterion, parse
 from mexpress.plotting.figures import (
     BLUE,
@@ -25,6 +27,7 @@ from mexpress.selection import Selection, WarpSelection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = ["plot_selection"]
@@ -49,6 +52,9 @@ _HUES: dict[str, tuple[tuple[str, ...], str]] = {
 _OWN = ("#5B3A9B", "#8C6D1F", "#CC79A7", "#44AA99", "#882255")
 """Colours of schemes that are the user's own."""
 
+_FEW = 4
+"""Up to so many counts, weights are the axis that tells more."""
+
 _LABELS, _GAP = 1.05, 0.047
 """Where labels are, and their distance, as fractions of the width and the height of the axes."""
 
@@ -58,10 +64,12 @@ def plot_selection(selection: Selection, path: PathLike | None = None, *, unit: 
 
     A label at the end of every curve names its criterion and what that selects; the criteria that hold out
     smaller or larger neighbourhoods have lighter or darker tones of one colour, and criteria with the same
-    curve share a line. AIC and BIC have no unit: the plot shows a * AIC + b, with a and b such that it
-    is nearest to FIT (or the chosen criterion, if there is no FIT) by least squares over all counts, among
-    those with a positive, so that minima stay minima, and with no value below half of FIT's smallest, so that
-    the axis may be logarithmic. Where least squares would want a negative a, it is such that both curves have
+    curve share a line. With several weights of the bending energy the curves are those of the weight that is best for
+    each count, and below them is the map of the selecting criterion over counts and weights; with four counts or
+    fewer they are those of the selected count against the weight. AIC and BIC have no unit: the plot shows
+    a * AIC + b, with a and b such that it is nearest to FIT (or the chosen criterion, if there is no FIT) by least
+    squares, among those with a positive, so that minima stay minima, and with no value below half of FIT's smallest,
+    so that the axis may be logarithmic. Where least squares would want a negative a, it is such that both curves have
     the same standard deviation.
 
     Parameters
@@ -91,25 +99,145 @@ def plot_selection(selection: Selection, path: PathLike | None = None, *, unit: 
     >>> plot_selection(mx.select_warp(source, target, counts=range(3, 12)))
     <Figure size ...>
     """
-    figure = new_figure(8.6, 5.0)
-    axes = figure.subplots()
-    curves, rescaled = _on_one_axis(selection.curves, selection.criterion)
+    several = len(selection.weights) > 1
+    line = _over_weights(selection) if several and len(selection.counts) <= _FEW else _over_counts(selection)
+    mapped = several and len(selection.counts) > _FEW
+    figure = new_figure(8.6, 8.4 if mapped else 5.0)
+    axes, *below = figure.subplots(1 + mapped, 1, squeeze=False, sharex=True)[:, 0]
+    default = "pixels of the target image" if isinstance(selection, WarpSelection) else None
+    label = with_unit("criterion", unit or default)
+    _draw_curves(axes, selection, line)
+    axes.set_ylabel(label)
+    smoothing = f" and smoothing {selection.smoothing:.3g}" if several else ""
+    title = f"{selection.criterion} selects {selection.count} control points{smoothing}"
+    axes.set_title(title, loc="left")
+    if line.weights:
+        draw_weights(axes.xaxis, selection.weights)
+        _write_parameters(axes, selection)
+        axes.set_xlabel(f"weight of the bending energy, at {selection.count} control points")
+    if mapped:
+        _draw_map(below[0], selection, unit or default)
+    elif not line.weights:
+        axes.set_xlabel("number of control points")
+    return saved(figure, path)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What curves are drawn against: positions, scores there, which position each criterion selects, and its name."""
+
+    x: Floats
+    curves: dict[str, Floats]
+    best: dict[str, int | None]
+    names: list[str]
+    weights: bool
+
+
+def _over_counts(selection: Selection) -> _Line:
+    counts = selection.counts.tolist()
+    best = {
+        name: None if count is None else counts.index(count) for name, count in selection.selected.items()
+    }
+    return _Line(selection.counts.astype(float), selection.curves, best, [str(c) for c in counts], False)
+
+
+def _over_weights(selection: Selection) -> _Line:
+    """At the selected count; each criterion's mark is what it would select there."""
+    k = selection.place[0]
+    curves = {name: scores[k] for name, scores in selection.maps.items()}
+    best = {name: None if np.isnan(c).all() else int(np.nanargmin(c)) for name, c in curves.items()}
+    best[selection.criterion] = selection.place[1]
+    names = [f"{float(f'{weight:.2g}'):g}" for weight in selection.weights]
+    return _Line(weight_positions(selection.weights), curves, best, names, True)
+
+
+def _draw_curves(axes: Axes, selection: Selection, line: _Line) -> None:
+    curves, rescaled = _on_one_axis(line.curves, selection.criterion)
     looks = _looks(list(curves))
-    _set_limits(axes, curves, selection)
+    _set_limits(axes, curves, line.x, selection.criterion)
     labels: dict[str, tuple[float, str, bool]] = {}
     for names in _alike(curves, selection.criterion):
         colour, style = looks[names[0]]
         chosen = selection.criterion in names
-        best, curve = selection.selected[names[0]], curves[names[0]]
-        _draw(axes, (selection.counts, curve), best, (colour, "-" if chosen else style), chosen)
-        labels[_label(names, best, rescaled, selection)] = (_end(axes, curve), colour, chosen)
+        best, curve = line.best[selection.criterion if chosen else names[0]], curves[names[0]]
+        _draw(axes, (line.x, curve), best, (colour, "-" if chosen else style), chosen)
+        said = "none" if best is None else line.names[best]
+        labels[f"{_label(names, rescaled, selection)}: {said}"] = (_end(axes, curve), colour, chosen)
     _write_labels(axes, labels)
-    axes.set_xlabel("number of control points")
-    default = "pixels of the target image" if isinstance(selection, WarpSelection) else None
-    axes.set_ylabel(with_unit("criterion", unit or default))
-    axes.set_title(f"{selection.criterion} selects {selection.count} control points", loc="left")
     axes.grid(alpha=0.25, lw=0.6)
-    return saved(figure, path)
+
+
+def weight_positions(weights: Floats) -> Floats:
+    """Return where weights are on a logarithmic axis, 0 one mean step below the smallest other."""
+    at = np.log10(weights, out=np.full(len(weights), np.nan), where=weights > 0)
+    known = at[np.isfinite(at)]
+    step = max((known[-1] - known[0]) / max(len(known) - 1, 1), 0.5)
+    return np.asarray(np.where(np.isfinite(at), at, known[0] - step))
+
+
+def draw_weights(axis: Axis, weights: Floats) -> None:
+    """Label an axis on which weights have their positions by powers of ten, and 0."""
+    at = weight_positions(weights)
+    above = at[weights > 0]
+    decades = np.arange(math.ceil(above[0] - 1e-9), math.floor(above[-1] + 1e-9) + 1)
+    decades = decades[:: max(1, -(-len(decades) // 8))]
+    marks = [(float(d), f"$10^{{{d}}}$") for d in decades] or [(float(above[0]), f"{weights[-1]:.2g}")]
+    marks += [(float(at[0]), "0")] if weights[0] == 0 else []
+    axis.set_ticks([place for place, _ in marks], [text for _, text in marks])
+
+
+def _write_parameters(axes: Axes, selection: Selection) -> None:
+    """Write how many effective parameters the selected count has, along the top."""
+    if selection.parameters is None:
+        return
+    at, parameters = weight_positions(selection.weights), selection.parameters[selection.place[0]]
+    shown = np.unique(np.linspace(0, len(at) - 1, 7).round().astype(int))
+    top = axes.secondary_xaxis("top")
+    top.set_xticks(at[shown], ["-" if np.isnan(parameters[k]) else f"{parameters[k]:.3g}" for k in shown])
+    top.set_xlabel("effective parameters", fontsize=9, color=GRAY)
+    top.tick_params(labelsize=9, labelcolor=GRAY, color=GRAY)
+
+
+def _draw_map(axes: Axes, selection: Selection, unit: str | None) -> None:
+    """Draw the selecting criterion over counts and weights, up to three times its smallest score."""
+    name, scores = selection.criterion, selection.maps[selection.criterion]
+    x, y = selection.counts.astype(float), weight_positions(selection.weights)
+    low, high = float(np.nanmin(scores)), float(np.nanmax(scores))
+    top = high if name in UNITLESS or low <= 0 else min(high, 3 * low)
+    shades = axes.pcolormesh(
+        x, y, scores.T, shading="nearest", cmap="viridis", vmin=low, vmax=max(top, low + 1e-9)
+    )
+    figure = axes.get_figure()
+    assert figure is not None
+    label = name if name in UNITLESS else with_unit(name, unit)
+    beside = axes.inset_axes((1.02, 0.0, 0.03, 1.0))
+    figure.colorbar(shades, cax=beside, label=label, extend="max" if top < high else "neither")
+    for other, (k, w) in _choices(selection).items():
+        chosen = other == name
+        axes.plot(
+            x[k], y[w], "o", ms=11 if chosen else 6, mfc=RED if chosen else "none", mec="white", mew=1.5
+        )
+        left = x[k] > 0.7 * x[-1] + 0.3 * x[0]
+        text = axes.annotate(other, (x[k], y[w]), (-8 if left else 8, 8), textcoords="offset points")
+        text.set(
+            ha="right" if left else "left", weight="bold" if chosen else "normal", fontsize=9, color="white"
+        )
+        text.set_bbox({"facecolor": "black", "alpha": 0.45, "edgecolor": "none", "pad": 1.5})
+    draw_weights(axes.yaxis, selection.weights)
+    axes.set_xlabel("number of control points")
+    axes.set_ylabel("weight of the bending energy")
+
+
+def _choices(selection: Selection) -> dict[str, tuple[int, int]]:
+    """Positions of what each criterion selects; those that select the same together."""
+    counts, weights = selection.counts.tolist(), selection.weights.tolist()
+    at: dict[tuple[int, int], list[str]] = {}
+    for name, count in selection.selected.items():
+        if count is not None and name != selection.criterion:
+            weight = selection.selected_smoothing[name]
+            at.setdefault((counts.index(count), weights.index(weight)), []).append(name)
+    others = {", ".join(names): place for place, names in at.items() if place != selection.place}
+    return {**others, selection.criterion: selection.place}
 
 
 def _on_one_axis(curves: Mapping[str, Floats], criterion: str) -> tuple[dict[str, Floats], set[str]]:
@@ -186,9 +314,9 @@ def _tone(tones: Sequence[str], k: int, number: int) -> str:
     return "#" + "".join(f"{round(value):02X}" for value in mixed)
 
 
-def _set_limits(axes: Axes, curves: Mapping[str, Floats], selection: Selection) -> None:
+def _set_limits(axes: Axes, curves: Mapping[str, Floats], x: Floats, criterion: str) -> None:
     """Logarithms when the values span much; values far above the selected one leave the frame."""
-    first, last = float(selection.counts[0]), float(selection.counts[-1])
+    first, last = float(x[0]), float(x[-1])
     margin = 0.02 * (last - first) or 0.5
     axes.set_xlim(first - margin, last + margin)
     defined = [curve[np.isfinite(curve)] for curve in curves.values()]
@@ -196,7 +324,7 @@ def _set_limits(axes: Axes, curves: Mapping[str, Floats], selection: Selection) 
     if not values.size:
         return
     low, high = float(values.min()), float(values.max())
-    chosen = curves[selection.criterion]
+    chosen = curves[criterion]
     least = float(chosen[np.isfinite(chosen)].min(initial=np.inf))
     top = max(1.5 * max(float(c[0]) for c in defined if c.size), 10 * least if np.isfinite(least) else low)
     if low <= 0 or high < 5 * low:
@@ -210,25 +338,24 @@ def _set_limits(axes: Axes, curves: Mapping[str, Floats], selection: Selection) 
 
 
 def _draw(
-    axes: Axes, line: tuple[Integers, Floats], best: int | None, look: tuple[str, str], chosen: bool
+    axes: Axes, line: tuple[Floats, Floats], best: int | None, look: tuple[str, str], chosen: bool
 ) -> None:
     """Draw a curve, mark what it selects, and make the chosen criterion's stand out."""
-    counts, curve = line
+    x, curve = line
     colour, style = look
-    axes.plot(counts, curve, style, color=colour, lw=2.8 if chosen else 1.4, zorder=4 if chosen else 3)
+    axes.plot(x, curve, style, color=colour, lw=2.8 if chosen else 1.4, zorder=4 if chosen else 3)
     if best is None:
         return
-    axes.plot(best, curve[counts == best], "o", color=colour, ms=10 if chosen else 6, mec="white", zorder=6)
+    axes.plot(x[best], curve[best], "o", color=colour, ms=10 if chosen else 6, mec="white", zorder=6)
     if chosen:
-        axes.axvline(best, color=colour, lw=1, alpha=0.4, zorder=1)
+        axes.axvline(x[best], color=colour, lw=1, alpha=0.4, zorder=1)
 
 
-def _label(names: Sequence[str], best: int | None, rescaled: set[str], selection: Selection) -> str:
+def _label(names: Sequence[str], rescaled: set[str], selection: Selection) -> str:
     notes = [" (rescaled)" if name in rescaled else "" for name in names]
     if isinstance(selection, WarpSelection):  # two rows a match
         notes = [" (per row)" if name == "PRESS" else note for name, note in zip(names, notes, strict=True)]
-    title = " = ".join(name + note for name, note in zip(names, notes, strict=True))
-    return f"{title}: {'none' if best is None else best}"
+    return " = ".join(name + note for name, note in zip(names, notes, strict=True))
 
 
 def _end(axes: Axes, curve: Floats) -> float:

@@ -7,9 +7,11 @@ See `mexpress.select_warp`.
 
 from __future__ import annotations
 
+import os
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +23,14 @@ from mexpress.designs import Design
 from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import Lifting
 from mexpress.placement import covered_region
+from mexpress.radii import RadiusCurve, score_by_radius
 from mexpress.schemes import exclusion_radius
 from mexpress.selection.selection import Selection
 from mexpress.suspicion import Suspects, suspects
 from mexpress.sweeps import Model, penalised
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["ModelSelection"]
 
@@ -64,6 +70,11 @@ class ModelSelection(Selection, Generic[Model]):
     def _data(self) -> tuple[Floats, Floats, float]:
         """Where the data are, their values, and what radii are percentages of."""
 
+    @property
+    def _unit(self) -> str | None:
+        """Of the values, if it is known."""
+        return None
+
     @abstractmethod
     def _lifting(self) -> Lifting:
         """That of the selected model."""
@@ -96,6 +107,41 @@ class ModelSelection(Selection, Generic[Model]):
         20
         """
         return penalised(self._design(self._lifting()), self.smoothing, weights, threads)
+
+    def radii(self, percents: Sequence[float] | None = None, threads: int | None = None) -> RadiusCurve:
+        """Score the selected model by local exclusion with several radii, see `mexpress.radii.score_by_radius`.
+
+        Parameters
+        ----------
+        percents : sequence of float, optional
+            Radii in percent of the diagonal, increasing; 0 to 20 if not given.
+        threads : int, optional
+            At most so many threads.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> source = np.random.default_rng(0).uniform(0, 100, (60, 2))
+        >>> mx.select_warp(source, source + np.sin(source / 30), counts=[3, 9]).radii([0, 5, 10]).percents
+        array([ 0.,  5., 10.])
+        """
+        points, _, diagonal = self._data()
+        return score_by_radius(self.least_squares(threads=threads), points, diagonal, percents, threads)
+
+    def plot_radii(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the selected model's score against the radius within which data are held out (extra ``plot``).
+
+        Below it is how far from the data the domain reaches: radii beyond that ask more than predictions inside it.
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_radii  # noqa: PLC0415 - an extra
+
+        return plot_radii(self.radii(), path, unit=self._unit)
 
     def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
         """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.

@@ -28,7 +28,7 @@ from mexpress.surfaces import Surface
 
 __all__ = ["SurfaceSelection", "select_surface"]
 
-_MOST = 175
+MOST = 175
 """Control points, as in section 5 of the paper."""
 
 
@@ -47,6 +47,8 @@ class SurfaceSelection(ModelSelection[Surface]):
     control_points : (l, 2) array
         Those of the largest model, in the order in which they came; unless each count has its own, a model of k
         control points has the first k.
+    placement : str
+        Where control points went.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class SurfaceSelection(ModelSelection[Surface]):
     points: Floats
     values: Floats
     control_points: Floats
+    placement: str
 
     @property
     def _supplest(self) -> int:
@@ -164,7 +167,7 @@ def select_surface(
     """
     where, measured, region = measured_data(points, values)
     n, auto = len(where), is_auto(smoothing)
-    usual = most_of(n, 1) if auto else _MOST
+    usual = most_of(n, 1) if auto else MOST
     most = usual if max_count is None else check.count(max_count, "max_count", 3)
     check.flag(progress, "progress")
     functions = lifting_named(lifting)
@@ -194,7 +197,12 @@ def select_surface(
     assert surface is not None  # a score means that it is determined
     kept = surface.control_points if ordered is None else ordered
     return SurfaceSelection(
-        **vars(selection), surface=surface, points=where, values=measured, control_points=kept
+        **vars(selection),
+        surface=surface,
+        points=where,
+        values=measured,
+        control_points=kept,
+        placement=spread,
     )
 
 

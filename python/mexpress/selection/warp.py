@@ -79,6 +79,10 @@ class WarpSelection(ModelSelection[Warp]):
     def _supplest(self) -> int:
         return 30
 
+    @property
+    def _unit(self) -> str:
+        return "pixels of the target image"
+
     def _data(self) -> tuple[Floats, Floats, float]:
         return self.source, self.target, _diagonal(self.source, self.image_size)
 
