@@ -409,7 +409,7 @@ def test_a_scene_is_drawn_with_its_names_inside_and_says_where_a_criterion_ends(
         "ER10": np.where(np.arange(24) < 20, judged.selection.curves["ER10"], np.nan),
     }
     assert len(defined)
-    ending = replace(judged, selection=replace(judged.selection, curves=curves))
+    ending = replace(judged, selection=replace(judged.selection, maps=curves))
     figure = plot_scene({"fractional": ending}, "a scene")
     figure.canvas.draw()
     labels = [text.get_text() for text in figure.axes[5].get_legend().get_texts()]
