@@ -6,7 +6,7 @@ scikit-image, scipy, matplotlib and treverhines-rbf. DATA is a directory with an
 sheets/NAME.npz   image_points (views, n, 2) of a sheet that deforms: hulk and kinectpaper
 depth/TUM_depth.png, depth_00000.png   depth maps
 
-Of a row of the table problems are drawn at random, always the same ones. Every method is used in one way in all rows. What
+Of every row problems are drawn at random, always the same ones, and every method is used in one way in all rows. What
 counts is the median over the draws of the root mean square error: a draw in which a model folds, or the best is found
 by luck, has no more weight than another. The worst draw stands beside it.
 
@@ -28,8 +28,25 @@ import mexpress as mx
 
 DRAWS, FEW = 24, 4
 OURS = "mexpress tps auto"
-CLOSE = 1.03
 METHODS = WARPS | SURFACES
+CLOSE, FAR = 1.03, 10.0
+"""Times the best's error: what counts as equal, and where the plot ends."""
+
+LOOKS = {
+    "homography": ("s", "#777777"),
+    "plane": ("s", "#777777"),
+    "scikit-image TPS": ("v", "#56B4E9"),
+    "scipy RBF leave-one-out": ("^", "#0072B2"),
+    "scipy RBF 10-fold": ("d", "#0072B2"),
+    "treverhines-rbf auto": ("D", "#009E73"),
+    "mexpress affine": ("X", "#E69F00"),
+    "mexpress bspline": ("P", "#E69F00"),
+    "mexpress tps": ("o", "#E69F00"),
+    "mexpress affine auto": ("X", "#D55E00"),
+    "mexpress bspline auto": ("P", "#D55E00"),
+    "mexpress tps auto": ("o", "#D55E00"),
+}
+"""Marker and colour; methods of a row are drawn from above to below in this order."""
 
 
 def judge(data, row, draw, names):
@@ -64,9 +81,64 @@ def compute(options, records, tables, draws):
     mx.map_problems(judge, wanted, progress=True, on_result=keep)
 
 
-def summary(errors):
-    """Return what counts of the errors of some draws, and the worst of them."""
-    return float(np.median(errors)), float(errors.max())
+def medians(records, rows, methods, draws):
+    """Return the median error of every row and method; NaN unless all draws are there."""
+    return np.array([[np.median(records.drawn(row, name, draws)) for name in methods] for row in rows])
+
+
+def table(records, rows, methods, draws):
+    """Return the lines of a Markdown table: medians, bold if they equal the best, and the worst draws in brackets."""
+    middle = medians(records, rows, methods, draws)
+    lines = ["| | " + " | ".join(methods) + " |", "|---" * (len(methods) + 1) + "|"]
+    for row, errors in zip(rows, middle, strict=True):
+        best, cells = CLOSE * np.nanmin(errors), []
+        for name, typical in zip(methods, errors, strict=True):
+            mark = "**" if typical <= best else ""
+            cells.append(f"{mark}{typical:.3g}{mark} ({records.drawn(row, name, draws).max():.3g})")
+        lines.append(f"| {row} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def verdicts(records, rows, methods, draws):
+    """Return the lines of a Markdown table: how ours compares to the best of the others in every row."""
+    lines = ["| | best of the others | ours to it | draws won |", "|---|---|---|---|"]
+    others = [name for name in methods if not name.startswith("mexpress")]
+    middle = medians(records, rows, others, draws)
+    for row, errors in zip(rows, middle, strict=True):
+        best = others[np.nanargmin(errors)]
+        ours, theirs = (records.drawn(row, name, draws) for name in (OURS, best))
+        won = f"{(ours < theirs).sum()} of {draws}"
+        lines.append(f"| {row} | {best} | {np.median(ours) / np.median(theirs):.3f} | {won} |")
+    return lines
+
+
+def draw_ratios(records, tables, draws, path):
+    """Plot every method's median error relative to the best one's, a line for each row of the tables."""
+    rows = [row for some, _ in tables for row in some]
+    figure = Figure(figsize=(10, 1.3 + 0.5 * len(rows)), layout="constrained", dpi=120)
+    axes = figure.subplots()
+    axes.axvspan(1, CLOSE, color="#009E73", alpha=0.2, lw=0)
+    shown = [name for name in LOOKS if any(name in methods for _, methods in tables)]
+    for some, methods in tables:
+        middle = medians(records, some, methods, draws)
+        ratios = middle / np.nanmin(middle, axis=1, keepdims=True)
+        for name, across in zip(methods, ratios.T, strict=True):
+            marker, colour = LOOKS[name]
+            below = [rows.index(row) + 0.7 * (shown.index(name) + 0.5) / len(shown) - 0.35 for row in some]
+            size = 10 if name == OURS else 6.5
+            look = {"color": colour, "mec": "white", "mew": 0.6, "clip_on": False, "zorder": 3}
+            axes.plot(across.clip(max=FAR), below, marker, ms=size, label=name, **look)
+    axes.hlines(np.arange(1, len(rows)) - 0.5, 0.97, FAR, color="#DDDDDD", lw=0.8)
+    axes.set(xscale="log", xlim=(0.97, FAR), xlabel="median error relative to the best method of the row")
+    axes.set_xticks([1, 1.1, 1.2, 1.5, 2, 3, 5, 10], ["1", "1.1", "1.2", "1.5", "2", "3", "5", "10 or more"])
+    axes.set_xticks([], minor=True)
+    axes.set(ylim=(len(rows) - 0.5, -0.5))
+    axes.set_yticks(range(len(rows)), rows)
+    axes.grid(axis="x", alpha=0.3)
+    labels = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    shown = [name for name in shown if name in labels]
+    figure.legend([labels[name] for name in shown], shown, loc="outside right upper", frameon=False)
+    figure.savefig(path)
 
 
 def arguments():
@@ -89,9 +161,22 @@ def run(options):
     rows, methods = options.rows.split(","), options.methods.split(",")
     tables = [
         (containing(rows, draw), containing(methods, named))
-        for draw, named in ((problems.warps(options.data), WARPS), (problems.surfaces(options.data), SURFACES))
+        for draw, named in (
+            (problems.warps(options.data), WARPS),
+            (problems.surfaces(options.data), SURFACES),
+        )
     ]
-    compute(options, records, tables, FEW if options.quick else DRAWS)
+    draws = FEW if options.quick else DRAWS
+    compute(options, records, tables, draws)
+    lines = []
+    for rows, methods in tables:
+        if rows and methods:
+            lines += [*table(records, rows, methods, draws), ""]
+        if rows and OURS in methods:
+            lines += [*verdicts(records, rows, methods, draws), ""]
+    (options.out / "models.md").write_text("\n".join(lines), encoding="utf-8")
+    print("\n".join(lines))
+    draw_ratios(records, tables, draws, options.out / "models.png")
 
 
 if __name__ == "__main__":

@@ -114,4 +114,6 @@ def error(problem, method):
     """Return a method's root mean square error at the test points, the norm where values are vectors."""
     apart = method(problem) - problem.test_target
     squared = (apart.reshape(len(apart), -1) ** 2).sum(axis=1)
-    return float(np.sqrt(np.where(np.isnan(squared), np.inf, squared).mean()))  # NaN: the denominator vanished
+    return float(
+        np.sqrt(np.where(np.isnan(squared), np.inf, squared).mean())
+    )  # NaN: the denominator vanished
