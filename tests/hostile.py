@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mexpress as mx
+from mexpress.liftings import make_lifting
 
 s = mx.schemes
 N = 20
@@ -95,13 +96,21 @@ ARRAYS = {
         POINTS[:5],
         lambda x: mx.fit_surface(POINTS, TARGET, x).parameters,
     ),
-    "Surface control_points": (
+    "Lifting control_points": (
         "control_points",
         POINTS[:5],
-        lambda x: mx.Surface(x, B[:5], POINTS).control_points,
+        lambda x: make_lifting("tps", x).control_points,
     ),
-    "Surface parameters": ("parameters", B[:6], lambda x: mx.Surface(POINTS[:6], x, POINTS).parameters),
-    "Surface domain": ("domain", POINTS, lambda x: mx.Surface(POINTS[:5], B[:5], x).domain),
+    "Surface parameters": (
+        "parameters",
+        B[:6],
+        lambda x: mx.Surface(make_lifting("tps", POINTS[:6]), x, POINTS).parameters,
+    ),
+    "Surface domain": (
+        "domain",
+        POINTS,
+        lambda x: mx.Surface(make_lifting("tps", POINTS[:5]), B[:5], x).domain,
+    ),
     "Surface": ("points", POINTS, SURFACE),
     "Surface derivatives": ("points", POINTS, SURFACE.derivatives),
     "Surface normals": ("points", POINTS, SURFACE.normals),
@@ -116,6 +125,7 @@ ANY_LENGTH = {  # arrays of which any number of rows will do
     "delaunay",
     "fit_warp control_points",
     "fit_surface control_points",
+    "Lifting control_points",
     "Warp",
     "Surface",
     "Surface derivatives",

@@ -20,6 +20,7 @@ from hostile import (
 )
 
 import mexpress as mx
+from mexpress.liftings import make_lifting
 
 s = mx.schemes
 EVERY = ["FIT", "PRESS", "CMPRESS", "KF05", "ER10", "NN10PCT", "DELAUNAY", "AIC", "BIC", "GCV"]
@@ -118,7 +119,7 @@ def test_data_that_coincide_or_lie_on_a_line():
         refused(lambda p=points: select(p), "points", ValueError)
         refused(lambda p=points: mx.fit_surface(p, TARGET, POINTS[:3]), "points", ValueError)
         refused(lambda p=points: mx.fit_surface(POINTS, TARGET, p[:4]), "control_points", ValueError)
-        refused(lambda p=points: mx.Surface(POINTS[:4], B[:4], p), "domain", ValueError)
+        refused(lambda p=points: mx.Surface(make_lifting("tps", POINTS[:4]), B[:4], p), "domain", ValueError)
 
 
 @pytest.mark.parametrize("n", [1, 2])

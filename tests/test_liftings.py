@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 from mexpress.liftings import (
     LIFTINGS,
     ThinPlateSpline,
-    evaluate,
     make_lifting,
     nested_basis,
     nested_bending,
-    slopes,
 )
 
 
@@ -117,7 +115,7 @@ def test_eight_pi_times_the_bending_energy_is_the_integral_of_squared_second_der
     spline, step = ThinPlateSpline([[0, 0], [1, 0], [0, 1], [1, 1]]), 0.05
     axis = np.arange(-25, 26, step)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
-    slope = slopes(spline, grid.reshape(-1, 2), np.array([[0.0], [0], [0], [1]])).reshape(*grid.shape[:2], 2)
+    slope = spline.slopes(grid.reshape(-1, 2), np.array([[0.0], [0], [0], [1]])).reshape(*grid.shape[:2], 2)
     second = [np.diff(slope, axis=a)[: len(axis) - 1, : len(axis) - 1] / step for a in (0, 1)]
     integral = sum(np.sum(s**2) for s in second) * step**2
     energy = np.sum((spline.bending() @ [0, 0, 0, 1]) ** 2)
@@ -128,16 +126,16 @@ def test_values_and_slopes_are_the_basis_times_the_parameters_at_every_block():
     spline, points = ThinPlateSpline(scattered(60)), scattered(5000, seed=1)
     parameters = np.random.default_rng(0).normal(size=(60, 3))
     np.testing.assert_allclose(
-        evaluate(spline, points, parameters), spline.basis(points) @ parameters, atol=1e-11
+        spline.values(points, parameters), spline.basis(points) @ parameters, atol=1e-11
     )
     expected = np.einsum("nlb,lr->nrb", spline.derivatives(points), parameters)
-    np.testing.assert_allclose(slopes(spline, points, parameters), expected, atol=1e-12)
+    np.testing.assert_allclose(spline.slopes(points, parameters), expected, atol=1e-12)
 
 
 def test_many_points_take_little_memory():
     spline, points = ThinPlateSpline(scattered(100)), scattered(100_000, seed=1)
     tracemalloc.start()
-    evaluate(spline, points, np.ones((100, 3)))
+    spline.values(points, np.ones((100, 3)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6  # n x l would be 80 MB
@@ -236,13 +234,13 @@ def test_a_pickled_lifting_is_the_same():
 
 def test_no_points_give_no_rows():
     spline, none = ThinPlateSpline(scattered(5)), np.empty((0, 2))
-    assert evaluate(spline, none, np.ones((5, 3))).shape == (0, 3)
-    assert slopes(spline, none, np.ones((5, 3))).shape == (0, 3, 2)
+    assert spline.values(none, np.ones((5, 3))).shape == (0, 3)
+    assert spline.slopes(none, np.ones((5, 3))).shape == (0, 3, 2)
 
 
 @pytest.mark.parametrize("name", ["spline", "", None, 3, ["tps"]])
 def test_unknown_liftings_are_refused(name):
-    with pytest.raises(ValueError, match=r"Invalid lifting\. It must be one of tps\. Given "):
+    with pytest.raises(ValueError, match=r"Invalid lifting\. It must be one of tps, .* Given "):
         make_lifting(name, scattered(4))
 
 

@@ -32,7 +32,7 @@ def bent(shape=(), count=12, domain=CORNERS):
     centres, random = control_points(count), np.random.default_rng(4)
     plane = centres @ [[0.5, 0.1, 1.0, 0, 0], [0.1, 0.5, -0.5, 1, 0]]
     values = plane[:, : shape[0]] if shape else plane[:, 2]
-    return Surface(centres, values + 20 * random.normal(size=(count, *shape)), domain)
+    return Surface(ThinPlateSpline(centres), values + 20 * random.normal(size=(count, *shape)), domain)
 
 
 SURFACES = [bent(shape) for shape in SHAPES]
@@ -200,7 +200,7 @@ def test_normals_are_the_cross_products_of_tangents(surface):
 @pytest.mark.parametrize("factor", [1e-200, 1e-30, 1e30, 1e200])
 def test_normals_of_points_in_space_do_not_depend_on_their_unit(factor):
     surface, points = SPACE[2], positions(50)
-    scaled = Surface(surface.control_points, factor * surface.parameters, CORNERS)
+    scaled = Surface(surface.lifting, factor * surface.parameters, CORNERS)
     np.testing.assert_allclose(scaled.normals(points), surface.normals(points), rtol=0, atol=1e-10)
 
 
@@ -209,7 +209,7 @@ def test_a_surface_in_space_that_is_a_line_has_no_normals():
     line = fit_surface(CORNERS, CORNERS[:, :1] * [1, 2, 3.0], CORNERS[:3])
     point = fit_surface(CORNERS, np.zeros((4, 3)), CORNERS[:3])
     assert np.isnan(point.normals(positions(5))).all()
-    exact = Surface(CORNERS[:3], np.zeros((3, 3)), CORNERS)
+    exact = Surface(ThinPlateSpline(CORNERS[:3]), np.zeros((3, 3)), CORNERS)
     assert np.isnan(exact.normals(positions(5))).all()
     assert line.normals(positions(5)).shape == (5, 3)
 
@@ -228,7 +228,7 @@ def test_points_absurdly_far_away_raise_no_warning():
     for surface in SPACE:
         for method in (surface, surface.derivatives, surface.normals):
             assert len(method([[1e100, -1e100]])) == 1
-    steep = Surface(control_points(5), 1e303 * np.array([1.0, -1, 1, -1, 1]), CORNERS)
+    steep = Surface(ThinPlateSpline(control_points(5)), 1e303 * np.array([1.0, -1, 1, -1, 1]), CORNERS)
     assert not np.isfinite(steep([[1e100, 0]])).any()
     assert np.isfinite(steep.normals(positions(5))).all()
 
@@ -239,7 +239,7 @@ def test_points_absurdly_far_away_raise_no_warning():
 @pytest.mark.parametrize("surface", SURFACES, ids=repr)
 def test_a_grid_holds_the_surface_inside_and_nothing_outside(surface):
     hull = np.array([[0.0, 0.0], [WIDTH, 40.0], [500.0, HEIGHT], [100.0, 300.0]])
-    surface = Surface(surface.control_points, surface.parameters, hull)
+    surface = Surface(surface.lifting, surface.parameters, hull)
     grid = surface.grid(shape=(31, 41))
     np.testing.assert_allclose(grid.x, np.linspace(0, WIDTH, 41), atol=1e-12)
     np.testing.assert_allclose(grid.y, np.linspace(0, HEIGHT, 31), atol=1e-12)
@@ -266,7 +266,7 @@ def depth_below_edges(corners, points):
 def test_inside_is_on_the_left_of_every_edge(seed, offset):
     random = np.random.default_rng(seed)
     cloud = random.normal(size=(random.integers(3, 30), 2)) @ random.normal(size=(2, 2)) + offset
-    surface = Surface(control_points(3), [1.0, 2, 3], cloud)
+    surface = Surface(ThinPlateSpline(control_points(3)), [1.0, 2, 3], cloud)
     grid = surface.grid(shape=(23, 29))
     depth = depth_below_edges(surface.domain, grid.points)
     assert grid.inside.ravel()[depth > 1e-6].all()
@@ -286,7 +286,7 @@ def test_inside_is_on_the_left_of_every_edge(seed, offset):
 def test_samples_on_the_edge_are_inside(corners, inside):
     for offset, factor in ((0, 1), (5e6, 10), (-3, 1e97)):
         domain = factor * np.asarray(corners, dtype=float) + offset
-        grid = Surface(control_points(3), [1.0, 2, 3], domain).grid(shape=(5, 5))
+        grid = Surface(ThinPlateSpline(control_points(3)), [1.0, 2, 3], domain).grid(shape=(5, 5))
         assert grid.inside.sum() == inside
 
 
@@ -298,7 +298,7 @@ def area(points, triangles):
 @pytest.mark.parametrize("seed", range(5))
 def test_triangles_cover_the_domain_once_and_turn_left(seed):
     cloud = np.random.default_rng(seed).normal(size=(40, 2))
-    surface = Surface(control_points(4), [1.0, 2, 3, 5], cloud)
+    surface = Surface(ThinPlateSpline(control_points(4)), [1.0, 2, 3, 5], cloud)
     grid = surface.grid(step=0.02)
     areas = area(grid.points, grid.triangles)
     assert (areas > 0).all()
@@ -316,9 +316,9 @@ def test_steps_start_at_the_corner_and_keep_their_length():
     grid = bent().grid(step=100)
     np.testing.assert_allclose(grid.x, np.arange(0, 601, 100))
     np.testing.assert_allclose(grid.y, np.arange(0, 401, 100))
-    shifted = Surface(control_points(3), [1.0, 2, 3], [[0.1, 0.2], [0.4, 0.2], [0.4, 0.5], [0.1, 0.5]]).grid(
-        step=0.1
-    )
+    shifted = Surface(
+        ThinPlateSpline(control_points(3)), [1.0, 2, 3], [[0.1, 0.2], [0.4, 0.2], [0.4, 0.5], [0.1, 0.5]]
+    ).grid(step=0.1)
     np.testing.assert_allclose(shifted.x, [0.1, 0.2, 0.3, 0.4])
     np.testing.assert_allclose(shifted.y, [0.2, 0.3, 0.4, 0.5])
     assert shifted.inside.all()
@@ -327,7 +327,9 @@ def test_steps_start_at_the_corner_and_keep_their_length():
 @pytest.mark.parametrize("width", [1.0, 1e-1, 1e-2, 1e-4, 2e-6])
 def test_a_slanted_strip_is_sampled_too(width):
     along, across = np.array([1, 1.0]), width * np.array([-1, 1.0])
-    grid = Surface(control_points(3), [1.0, 2, 3], [0 * along, along, along + across, across]).grid()
+    grid = Surface(
+        ThinPlateSpline(control_points(3)), [1.0, 2, 3], [0 * along, along, along + across, across]
+    ).grid()
     assert grid.inside.size <= 1.1e6
     if width >= 1e-2:
         assert 0.8e4 < grid.inside.sum() < 1.2e4
@@ -423,7 +425,7 @@ def test_coordinates_of_maps_keep_their_digits(tmp_path):
 
 
 def test_undefined_normals_are_zeros_in_a_mesh(tmp_path):
-    Surface(CORNERS[:3], np.zeros((3, 3)), CORNERS).write_mesh(tmp_path / "a.ply", step=100)
+    Surface(ThinPlateSpline(CORNERS[:3]), np.zeros((3, 3)), CORNERS).write_mesh(tmp_path / "a.ply", step=100)
     assert not plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]["nx"].any()
 
 
@@ -478,7 +480,7 @@ def test_a_saved_surface_is_read_back_bit_for_bit(surface, tmp_path):
 
 @pytest.mark.parametrize("surface", SURFACES, ids=repr)
 def test_a_pickled_surface_is_the_same_and_remembers_no_more(surface):
-    before = pickle.dumps(Surface(surface.control_points, surface.parameters, surface.domain))
+    before = pickle.dumps(Surface(surface.lifting, surface.parameters, surface.domain))
     expected = surface(positions(20))
     assert pickle.dumps(surface) == before
     copy = pickle.loads(before)
@@ -519,15 +521,15 @@ def test_surfaces_are_a_kind_of_model():
 
 
 def test_surfaces_say_what_they_are():
-    assert repr(bent()) == "Surface(depth, 12 control points)"
-    assert repr(bent((1,))) == "Surface(depth, 12 control points)"
-    assert repr(bent((5,), 3)) == "Surface(5 values, 3 control points)"
+    assert repr(bent()) == "Surface(depth, tps, 12 control points)"
+    assert repr(bent((1,))) == "Surface(depth, tps, 12 control points)"
+    assert repr(bent((5,), 3)) == "Surface(5 values, tps, 3 control points)"
     assert repr(surface_design(positions(9), np.ones(9), control_points(4))) == "SurfaceDesign(9 x 4)"
 
 
 def test_a_surface_does_not_change_with_the_arrays_it_was_made_from():
     centres, parameters, domain = control_points(5), np.arange(5.0), CORNERS.copy()
-    surface = Surface(centres, parameters, domain)
+    surface = Surface(ThinPlateSpline(centres), parameters, domain)
     for array in (centres, parameters, domain):
         array[:] = 0
     np.testing.assert_array_equal(surface.parameters, np.arange(5.0))
@@ -632,7 +634,7 @@ def test_control_points_that_begin_on_a_line_suit_a_fit_but_no_sweep():
 )
 def test_parts_that_do_not_make_a_surface_are_refused(parameters, domain, name):
     with pytest.raises((ValueError, TypeError), match=rf"Invalid {name}\. .* Given "):
-        Surface(control_points(12), parameters, domain)
+        Surface(ThinPlateSpline(control_points(12)), parameters, domain)
 
 
 @pytest.mark.parametrize("shape", [(), (3,)])

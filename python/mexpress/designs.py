@@ -267,7 +267,7 @@ class SurfaceDesign:
     >>> design = surface_design(square, [0, 2, 2, 4], square)
     >>> model = mx.LeastSquares(design.A[:, :3], design.b, coupling=design.coupling)
     >>> design.surface(model.coefficients, 3)
-    Surface(depth, 3 control points)
+    Surface(depth, tps, 3 control points)
     """
 
     A: Floats
@@ -298,7 +298,7 @@ class SurfaceDesign:
         """
         centres = self.control_points[:count]
         x = np.asarray(coefficients, dtype=np.float64)[:count]
-        return Surface(centres, nested_basis(centres, centres) @ x, self.domain)
+        return Surface(ThinPlateSpline(centres), nested_basis(centres, centres) @ x, self.domain)
 
     def bending(self) -> Floats:
         """Return the rows Z whose squared norm ||Z x||^2 is the bending energy of the surface.
@@ -382,7 +382,7 @@ def fit_surface(points: ArrayLike, values: ArrayLike, control_points: ArrayLike)
     >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
     >>> surface = fit_surface(square, [0, 2, 2, 5], square)
     >>> surface
-    Surface(depth, 4 control points)
+    Surface(depth, tps, 4 control points)
     >>> surface([[2, 2], [1, 1]]).round(6)
     array([5.  , 2.25])
     """
@@ -393,7 +393,7 @@ def fit_surface(points: ArrayLike, values: ArrayLike, control_points: ArrayLike)
     if model.rank < count:
         rule = "The data must determine the surface, so take fewer control points."
         check.refuse("control_points", rule, f"{count} and {len(points)} data of rank {model.rank}")
-    return Surface(spline.control_points, model.coefficients, domain)
+    return Surface(spline, model.coefficients, domain)
 
 
 def matched(source: ArrayLike, target: ArrayLike) -> tuple[Floats, Floats]:

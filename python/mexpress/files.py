@@ -170,7 +170,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     try:
         return KINDS[kind].from_arrays(arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise _invalid(path, f"a damaged model: {error}") from error
+        raise _invalid(path, f"a model that cannot be rebuilt: {error}") from error
 
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Surfaces: thin-plate splines fitted to depths, or to points in space, over a region of the plane.
+"""Surfaces: smooth functions fitted to depths, or to points in space, over a region of the plane.
 
 Examples
 --------
@@ -12,7 +12,6 @@ array([2.25])
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -22,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress import files, meshes
 from mexpress._validation import Floats, Integers
-from mexpress.liftings import ThinPlateSpline, evaluate, slopes
+from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.placement import covered_region
 
 __all__ = ["Surface", "SurfaceGrid"]
@@ -94,22 +93,28 @@ class SurfaceGrid:
 @files.storable
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
-    """A smooth map from points of the plane to depths, or to points in space: a thin-plate spline.
+    """A smooth map from points of the plane to depths, or to points in space.
+
+    With nu the lifting and p_a the columns of the parameters, value a at a point q is nu(q) . p_a.
 
     Parameters
     ----------
-    control_points : array_like, (l, 2)
-        Positions, 3 or more, neither coincident nor on a line.
+    lifting : Lifting
+        With l control points.
     parameters : array_like, (l,) or (l, d)
-        Values at the control points. A surface with (l,) has values (k,), one with (l, d) values (k, d).
+        With thin-plate splines the values at the control points. A surface with (l,) has values (k,), one
+        with (l, d) values (k, d).
     domain : array_like, (k, 2)
         Points that the surface was fitted on. Their convex hull is kept; outside it the surface extrapolates.
+    smoothing : float
+        Weight of the bending energy that it was fitted with.
 
     Raises
     ------
+    TypeError
+        If the lifting is none.
     ValueError
-        If the shapes do not fit, a number is not finite, the control points suit no thin-plate spline, or
-        the domain has no area.
+        If the shapes do not fit, a number is not finite, or the domain has no area.
 
     Examples
     --------
@@ -117,33 +122,50 @@ class Surface:
     >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
     >>> surface = mx.fit_surface(square, [[0, 0, 1], [3, 0, 1], [0, 3, 1], [3, 3, 2]], square)
     >>> surface
-    Surface(3 values, 4 control points)
+    Surface(3 values, tps, 4 control points)
     >>> surface([[1, 1]]).round(6)
     array([[1.5 , 1.5 , 1.25]])
     >>> surface.normals([[1, 1]]).round(3)
     array([[-0.162, -0.162,  0.973]])
     """
 
-    control_points: Floats
+    lifting: Lifting
     parameters: Floats
     domain: Floats
+    smoothing: float = 0.0
     kind: ClassVar[str] = "surface"
 
     def __post_init__(self) -> None:
-        points = ThinPlateSpline(self.control_points).control_points
-        parameters = check.columns(self.parameters, "parameters", len(points)).copy()
+        check_lifting(self.lifting)
+        parameters = check.columns(self.parameters, "parameters", len(self.control_points)).copy()
         domain = covered_region(self.domain, "domain")
-        for name, array in (("control_points", points), ("parameters", parameters), ("domain", domain)):
+        for name, array in (("parameters", parameters), ("domain", domain)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        rule = "It must be a number of at least 0."
+        object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Floats, Floats, Floats]]:
-        # Without what is cached, and read-only again once unpickled.
-        return type(self), (self.control_points, self.parameters, self.domain)
+    def __reduce__(self) -> tuple[type[Self], tuple[Lifting, Floats, Floats, float]]:
+        # Read-only again once unpickled.
+        return type(self), (self.lifting, self.parameters, self.domain, self.smoothing)
 
     def __repr__(self) -> str:
         what = "depth" if self._dimension == 1 else f"{self._dimension} values"
-        return f"Surface({what}, {len(self.control_points)} control points)"
+        smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
+        return f"Surface({what}, {self.lifting.name}, {len(self.control_points)} control points{smoothing})"
+
+    @property
+    def control_points(self) -> Floats:
+        """Control points, (l, 2).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 2, 5], square[:3]).control_points
+        array([[0., 0.], [2., 0.], [0., 2.]])
+        """
+        return self.lifting.control_points
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Return the surface's values.
@@ -165,7 +187,7 @@ class Surface:
         >>> mx.fit_surface(square, [0, 2, 2, 5], square)([[2, 2], [1, 1]]).round(6)
         array([5.  , 2.25])
         """
-        values = evaluate(self._spline, check.points(points, "points"), self._columns)
+        values = self.lifting.values(check.points(points, "points"), self._columns)
         return values.reshape(len(values), *self.parameters.shape[1:])
 
     def derivatives(self, points: ArrayLike) -> Floats:
@@ -188,7 +210,7 @@ class Surface:
         >>> mx.fit_surface(square, [0, 2, 4, 6], square).derivatives([[1, 1]]).round(6)
         array([[1., 2.]])
         """
-        values = slopes(self._spline, check.points(points, "points"), self._columns)
+        values = self.lifting.slopes(check.points(points, "points"), self._columns)
         return values.reshape(len(values), *self.parameters.shape[1:], 2)
 
     def normals(self, points: ArrayLike) -> Floats:
@@ -338,7 +360,7 @@ class Surface:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     mx.fit_surface(square, [0, 2, 2, 5], square).save(f"{folder}/surface.npz")
         ...     mx.load(f"{folder}/surface.npz")
-        Surface(depth, 4 control points)
+        Surface(depth, tps, 4 control points)
         """
         files.save(self, path)
 
@@ -350,9 +372,15 @@ class Surface:
         >>> import mexpress as mx
         >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
         >>> list(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
-        ['control_points', 'parameters', 'domain']
+        ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
         """
-        return {name: getattr(self, name) for name in ("control_points", "parameters", "domain")}
+        return {
+            "lifting": np.array(self.lifting.name),
+            "control_points": self.control_points,
+            "parameters": self.parameters,
+            "domain": self.domain,
+            "smoothing": np.array(self.smoothing),
+        }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
@@ -368,13 +396,10 @@ class Surface:
         >>> import mexpress as mx
         >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
         >>> mx.Surface.from_arrays(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
-        Surface(depth, 4 control points)
+        Surface(depth, tps, 4 control points)
         """
-        return cls(arrays["control_points"], arrays["parameters"], arrays["domain"])
-
-    @cached_property
-    def _spline(self) -> ThinPlateSpline:
-        return ThinPlateSpline(self.control_points)
+        lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
+        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
 
     @property
     def _columns(self) -> Floats:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress import files
 from mexpress._validation import Floats
-from mexpress.liftings import Lifting, evaluate, make_lifting, slopes
+from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.placement import covered_region, lattice
 
 __all__ = ["Warp"]
@@ -49,9 +49,13 @@ class Warp:
     domain : array_like, (k, 2)
         Points of the source image that the warp was fitted on. Their convex hull is kept; outside it the
         warp extrapolates.
+    smoothing : float
+        Weight of the bending energy that it was fitted with.
 
     Raises
     ------
+    TypeError
+        If the lifting is none.
     ValueError
         If the shapes do not fit, a number is not finite, or the domain has no area.
 
@@ -77,9 +81,11 @@ class Warp:
     lifting: Lifting
     parameters: Floats
     domain: Floats
+    smoothing: float = 0.0
     kind: ClassVar[str] = "warp"
 
     def __post_init__(self) -> None:
+        check_lifting(self.lifting)
         parameters = check.matrix(self.parameters, "parameters").copy()
         count = len(self.lifting.control_points)
         if parameters.shape not in {(count, 2), (count, 3)}:
@@ -89,10 +95,13 @@ class Warp:
         for name, array in (("parameters", parameters), ("domain", domain)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        rule = "It must be a number of at least 0."
+        object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
 
     def __repr__(self) -> str:
         form = "fractional " if self.fractional else ""
-        return f"Warp({form}{self.lifting.name}, {len(self.control_points)} control points)"
+        smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
+        return f"Warp({form}{self.lifting.name}, {len(self.control_points)} control points{smoothing})"
 
     @property
     def fractional(self) -> bool:
@@ -357,13 +366,14 @@ class Warp:
         >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
         >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
         >>> list(warp.to_arrays())
-        ['lifting', 'control_points', 'parameters', 'domain']
+        ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
         """
         return {
             "lifting": np.array(self.lifting.name),
             "control_points": self.control_points,
             "parameters": self.parameters,
             "domain": self.domain,
+            "smoothing": np.array(self.smoothing),
         }
 
     @classmethod
@@ -384,7 +394,7 @@ class Warp:
         Warp(fractional tps, 3 control points)
         """
         lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
-        return cls(lifting, arrays["parameters"], arrays["domain"])
+        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
 
     @cached_property
     def _samples(self) -> Floats:
@@ -393,18 +403,18 @@ class Warp:
     def _denominator(self, points: Floats) -> Floats:
         if not self.fractional:
             return np.ones(len(points))
-        return evaluate(self.lifting, points, self.parameters[:, 2:])[:, 0]
+        return self.lifting.values(points, self.parameters[:, 2:])[:, 0]
 
     def _map(self, points: Floats) -> Floats:
-        values = evaluate(self.lifting, points, self.parameters)
+        values = self.lifting.values(points, self.parameters)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return values[:, :2] / values[:, 2:] if self.fractional else values
 
     def _jacobian(self, points: Floats) -> Floats:
-        derivatives = slopes(self.lifting, points, self.parameters)
+        derivatives = self.lifting.slopes(points, self.parameters)
         if not self.fractional:
             return derivatives
-        values = evaluate(self.lifting, points, self.parameters)
+        values = self.lifting.values(points, self.parameters)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             target = values[:, :2, None] / values[:, 2:, None]
             return np.asarray((derivatives[:, :2] - target * derivatives[:, 2:]) / values[:, 2:, None])

@@ -75,7 +75,7 @@ class Fit:
     --------
     >>> corners = [[0, 0], [1, 0], [0, 1]]
     >>> Fit(("ER10",), 3, 0.0, float("nan"), fit_surface(corners, [1, 2, 3], corners))
-    Fit(names=('ER10',), count=3, rms=0.0, truth=nan, surface=Surface(depth, 3 control points))
+    Fit(names=('ER10',), count=3, rms=0.0, truth=nan, surface=Surface(depth, tps, 3 control points))
     """
 
     names: tuple[str, ...]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mexpress import liftings, simulation
+from mexpress import simulation
 from mexpress.batch import map_problems
 from mexpress.matches import write_rows
 from mexpress.plotting import reproduction as plotting
@@ -97,7 +97,7 @@ def _test_errors(selection: WarpSelection, matches: Correspondences) -> list[flo
         if warp is None:
             errors.append(math.nan)
             continue
-        values = liftings.evaluate(warp.lifting, matches.dense_source, warp.parameters)
+        values = warp.lifting.values(matches.dense_source, warp.parameters)
         error = matches.dense_target * values[:, 2:] - values[:, :2]
         errors.append(float(np.sqrt((error**2).sum(axis=1).mean())))
     return errors

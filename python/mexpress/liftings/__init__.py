@@ -1,0 +1,30 @@
+"""Liftings: the functions whose linear combinations bend the plane.
+
+A lifting nu maps a point q to l numbers; a scalar function is f(q) = nu(q) . x. Another lifting is one more
+subclass of `Lifting`, which `register` makes known by its name.
+
+Examples
+--------
+>>> from mexpress.liftings import make_lifting
+>>> make_lifting("tps", [[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
+array([[0. , 0.5, 0.5]])
+"""
+
+from mexpress.liftings.affine import PiecewiseAffine
+from mexpress.liftings.bspline import BSpline
+from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, make_lifting, register
+from mexpress.liftings.nested import nested_basis, nested_bending
+from mexpress.liftings.tps import ThinPlateSpline
+
+__all__ = [
+    "LIFTINGS",
+    "BSpline",
+    "Lifting",
+    "PiecewiseAffine",
+    "ThinPlateSpline",
+    "check_lifting",
+    "make_lifting",
+    "nested_basis",
+    "nested_bending",
+    "register",
+]

@@ -1,0 +1,199 @@
+"""Bicubic B-splines: smooth, and local."""
+
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.liftings.grids import grid, grid_counts
+from mexpress.liftings.lifting import register
+from mexpress.liftings.sparse import Entries, SparseLifting
+
+__all__ = ["BSpline"]
+
+_SLACK = 1e-4
+"""Control points may be off the grid by this fraction of its step."""
+
+_CUBIC = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
+"""Row a: coefficients of 1, u, u^2, u^3 in the a-th of the four functions that a cell meets, u in [0, 1]."""
+
+
+class _Axis(NamedTuple):
+    """Lines of the grid across one axis; the first and the last one are outside of the span."""
+
+    low: float
+    step: float
+    number: int
+
+
+@register
+class BSpline(SparseLifting):
+    """Uniform bicubic B-splines, control point (i, j) of a regular grid being the centre of its function.
+
+    At every point 16 functions differ from zero; they are positive and sum to one. Twice continuously
+    differentiable. An affine function a has the parameters a(c_k), but in general a parameter is not the
+    value at its control point. The span ends one line of the grid before the outermost one; outside of it
+    the functions go on along each axis with the value and the slope that they have at its edge. A warp is a
+    BBS warp, and with a denominator a NURBS warp whose weights are fitted.
+
+    Parameters
+    ----------
+    control_points : array_like, (l, 2)
+        A grid of 4 x 4 points or more, in any order; its step along x and that along y may differ. `place`
+        makes one.
+
+    Raises
+    ------
+    ValueError
+        If the control points are no such grid, to within 1e-4 of its steps.
+
+    Examples
+    --------
+    >>> spline = BSpline(BSpline.place([[0, 0], [30, 0], [30, 20], [0, 20]], 30))
+    >>> spline
+    BSpline(30 control points)
+    >>> spline.span
+    array([[ 0.,  0.], [30.,  0.], [30., 20.], [ 0., 20.]])
+    >>> spline.values(np.array([[7.0, 3.0], [99.0, 3.0]]), spline.control_points).round(6)
+    array([[ 7.,  3.], [99.,  3.]])
+    """
+
+    name: ClassVar[str] = "bspline"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self._grid  # which finds out whether there is one
+
+    @cached_property
+    def span(self) -> Floats:
+        """Corners of the rectangle outside of which the lifting extrapolates, (4, 2), counter-clockwise.
+
+        Examples
+        --------
+        >>> BSpline(BSpline.place([[0, 0], [30, 0], [30, 20], [0, 20]], 16)).span
+        array([[ 0.,  0.], [30.,  0.], [30., 20.], [ 0., 20.]])
+        """
+        x, y = ((axis.low + axis.step, axis.low + (axis.number - 2) * axis.step) for axis in self._grid[:2])
+        return np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
+
+    def bending(self) -> Floats:
+        """Return the rows Z whose squared norm is the bending energy, (l - 3, l).
+
+        8 pi times ||Z x||^2 is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the span. Of a thin-plate
+        spline it is over the plane, and divided by the same 8 pi: a weight means the same stiffness.
+
+        Examples
+        --------
+        >>> bowl = BSpline(BSpline.place([[0, 0], [3, 0], [3, 2], [0, 2]], 30))
+        >>> x = (bowl.control_points**2).sum(axis=1)
+        >>> float(8 * np.pi * ((bowl.bending() @ x) ** 2).sum() / (4 + 4)).__round__(6)
+        6.0
+        """
+        x, y, order = self._grid
+        along_x, along_y = (_factors(axis) for axis in (x, y))
+        rows = np.vstack(
+            [np.kron(along_y[k], along_x[2 - k]) * root for k, root in enumerate((1, np.sqrt(2), 1))]
+        )
+        i, j = np.tile(np.arange(x.number), y.number), np.repeat(np.arange(y.number), x.number)
+        affine = np.column_stack([np.ones(len(i)), i - i.mean(), j - j.mean()])
+        side = np.linalg.qr(affine, mode="complete").Q[
+            :, 3:
+        ]  # so that rounding does not bend affine functions
+        bending = np.empty((len(i) - 3, len(i)))
+        bending[:, order.ravel()] = np.linalg.qr(rows @ side).R @ side.T / np.sqrt(8 * np.pi)
+        return bending
+
+    @classmethod
+    def counts(cls, region: Floats, largest: int) -> list[int]:
+        """Return the numbers of control points of the grids that `place` knows, increasing.
+
+        Examples
+        --------
+        >>> BSpline.counts(np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 2.0]]), 36)
+        [16, 20, 24, 30, 35]
+        """
+        return grid_counts(region, largest, ring=1)
+
+    @classmethod
+    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+        """Return the grid nearest to a count whose span is the bounding box of the points, (l, 2).
+
+        Nothing is random. The cells are as square as possible.
+
+        Examples
+        --------
+        >>> BSpline.place([[0, 0], [4, 0], [4, 2], [0, 2]], 16)[:5]
+        array([[-4., -2.], [ 0., -2.], [ 4., -2.], [ 8., -2.], [-4.,  0.]])
+        """
+        return grid(points, count, ring=1)
+
+    def _entries(self, points: Floats, along: int | None = None) -> Entries:
+        *axes, order = self._grid
+        (column, across), (row, up) = (
+            _nonzero(axis, points[:, b], b == along) for b, axis in enumerate(axes)
+        )
+        for a in range(4):
+            for b in range(4):
+                yield slice(None), order[row + a, column + b], up[a] * across[b]
+
+    @cached_property
+    def _grid(self) -> tuple[_Axis, _Axis, NDArray[np.intp]]:
+        """Return both axes, and the index of the control point in every row and column of the grid."""
+        (x, i), (y, j) = (_lines(coordinates) for coordinates in self.control_points.T)
+        if min(x.number, y.number) < 4 or len(np.unique(i + x.number * j)) != x.number * y.number:
+            rule = "They must be a regular grid along x and y, of 4 x 4 or more, as BSpline.place makes it."
+            check.refuse("control_points", rule, f"{len(i)} points with {x.number} x and {y.number} y")
+        order = np.empty((y.number, x.number), dtype=np.intp)
+        order[j, i] = np.arange(len(i))
+        return x, y, order
+
+
+def _lines(coordinates: Floats) -> tuple[_Axis, NDArray[np.intp]]:
+    """Return the lines on which coordinates lie, and which is whose."""
+    ordered = np.sort(coordinates)
+    gaps = np.diff(ordered)
+    count = 1 + int((gaps > gaps.max() / 2).sum())
+    low, step = float(ordered[0]), float(ordered[-1] - ordered[0]) / (count - 1)
+    place = (coordinates - low) / step
+    index = np.rint(place).astype(np.intp)
+    if (np.abs(place - index) > _SLACK).any():
+        rule = f"They must be a regular grid along x and y, to within {_SLACK:g} of its steps."
+        where = int(np.abs(place - index).argmax())
+        check.refuse("control_points", rule, f"the coordinate {coordinates[where]:g} at {where}")
+    return _Axis(low, step, count), index
+
+
+def _nonzero(axis: _Axis, coordinates: Floats, derivative: bool) -> tuple[NDArray[np.intp], Floats]:
+    """Return the first of the four functions that are not zero, (n,), and the four of them, (4, n)."""
+    cells = axis.number - 3
+    place = (coordinates - axis.low) / axis.step - 1
+    inside = np.clip(place, 0, cells)
+    first = np.minimum(inside.astype(np.intp), cells - 1)
+    slope = _functions(inside - first, 1)
+    if derivative:
+        return first, slope / axis.step
+    return first, _functions(inside - first, 0) + (place - inside) * slope
+
+
+def _functions(u: Floats, order: int) -> Floats:
+    """Return the four functions of a cell, or their first or second derivative by u, (4, n)."""
+    zero = np.zeros_like(u)
+    powers = ([zero + 1, u, u**2, u**3], [zero, zero + 1, 2 * u, 3 * u**2], [zero, zero, zero + 2, 6 * u])
+    return np.asarray(_CUBIC @ np.stack(powers[order]))
+
+
+def _factors(axis: _Axis) -> list[Floats]:
+    """Return R_k, (count, count), with ||R_k x||^2 the integral of the squared k-th derivative, k = 0, 1, 2."""
+    cells = axis.number - 3
+    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact up to the degree 7
+    factors = []
+    for k in range(3):
+        rows = np.zeros((cells, 4, axis.number))
+        here = _functions((nodes + 1) / 2, k).T * np.sqrt(weights / 2 * axis.step)[:, None] / axis.step**k
+        for cell in range(cells):
+            rows[cell, :, cell : cell + 4] = here
+        factors.append(np.linalg.qr(rows.reshape(-1, axis.number)).R)
+    return factors

@@ -1,0 +1,88 @@
+"""Regular grids of control points over the bounding box of the data, their cells as square as possible.
+
+The first grid has one cell; each next one has one line more, across the longer side of the cells.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.placement import covered_region
+
+__all__ = ["grid", "grid_counts"]
+
+
+def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
+    """Return how many control points the grids over a region have, up to a largest number.
+
+    Parameters
+    ----------
+    region : ndarray, (k, 2)
+        Points whose bounding box counts.
+    largest : int
+        None is above it, but for the first.
+    ring : int
+        How many lines of every grid are outside of the box on each side.
+
+    Examples
+    --------
+    >>> grid_counts(np.array([[0.0, 0.0], [3.0, 1.0]]), 12)
+    [4, 6, 8, 10]
+    """
+    counts: list[int] = []
+    for columns, rows in _sizes(region, ring):
+        if counts and columns * rows > largest:
+            break
+        counts.append(columns * rows)
+    return counts
+
+
+def grid(points: ArrayLike, count: int, ring: int = 0) -> Floats:
+    """Return the control points of the grid whose number is nearest to a count, row after row.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Data positions, whose bounding box the grid fills.
+    count : int
+        Wished number, 3 or more; the smaller of two grids that are as near.
+    ring : int
+        How many lines of the grid are outside of the box on each side.
+
+    Returns
+    -------
+    ndarray, (l, 2)
+        Control points, in the unit of the points.
+
+    Examples
+    --------
+    >>> grid([[0, 0], [4, 0], [4, 2], [0, 2]], 5)
+    array([[0., 0.], [4., 0.], [0., 2.], [4., 2.]])
+    """
+    corners, count = covered_region(points), check.count(count, "count", 3)
+    chosen = (0, 0)
+    for size in _sizes(corners, ring):
+        nearer = abs(size[0] * size[1] - count) < abs(chosen[0] * chosen[1] - count)
+        if chosen != (0, 0) and not nearer:
+            break
+        chosen = size
+    x, y = (_lines(corners[:, b], chosen[b], ring) for b in range(2))
+    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+
+
+def _sizes(region: Floats, ring: int) -> Iterator[tuple[int, int]]:
+    """Number of columns and rows of one grid after the other."""
+    cells, extent = np.ones(2, dtype=np.int64), np.ptp(region, axis=0)
+    while True:
+        columns, rows = (cells + 1 + 2 * ring).tolist()
+        yield columns, rows
+        cells[np.argmax(extent / cells)] += 1
+
+
+def _lines(coordinates: Floats, count: int, ring: int) -> Floats:
+    low, high = coordinates.min(), coordinates.max()
+    step = (high - low) / (count - 1 - 2 * ring)
+    return np.asarray(np.linspace(low - ring * step, high + ring * step, count))

@@ -1,0 +1,97 @@
+"""Liftings of which only a few functions differ from zero at a point."""
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.liftings.lifting import Lifting, blocks
+
+__all__ = ["Entries", "SparseLifting"]
+
+Entries: TypeAlias = Iterator[tuple[slice | NDArray[np.intp], NDArray[np.intp], Floats]]
+"""Some rows, each once; a function for each of them; and what is added to its element."""
+
+
+class SparseLifting(Lifting):
+    """A lifting that tells the nonzero elements of its basis instead of the basis.
+
+    Examples
+    --------
+    >>> from mexpress.liftings import BSpline
+    >>> issubclass(BSpline, SparseLifting)
+    True
+    """
+
+    @abstractmethod
+    def _entries(self, points: Floats, along: int | None = None) -> Entries:
+        """Return the elements of the basis at n points, or of its derivative along x (0) or y (1)."""
+
+    def basis(self, points: ArrayLike) -> Floats:
+        """Return the l functions at n points, (n, l).
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]])
+        array([[0. , 0.5, 0.5]])
+        """
+        return self._dense(check.points(points, "points"))
+
+    def derivatives(self, points: ArrayLike) -> Floats:
+        """Return the derivatives of the l functions along x and y at n points, (n, l, 2).
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).derivatives([[1, 1]])
+        array([[[-0.5, -0.5],
+                [ 0.5,  0. ],
+                [ 0. ,  0.5]]])
+        """
+        points = check.points(points, "points")
+        return np.stack([self._dense(points, b) for b in range(2)], axis=-1)
+
+    def values(self, points: Floats, parameters: Floats) -> Floats:
+        """Return nu(q_i) . x for every column x of the parameters, (n, r).
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> plane = PiecewiseAffine([[0, 0], [1, 0], [0, 1]])
+        >>> plane.values(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]]))
+        array([[4.]])
+        """
+        return self._product(points, parameters)
+
+    def slopes(self, points: Floats, parameters: Floats) -> Floats:
+        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2).
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> plane = PiecewiseAffine([[0, 0], [1, 0], [0, 1]])
+        >>> plane.slopes(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]]))
+        array([[[1., 2.]]])
+        """
+        return np.stack([self._product(points, parameters, b) for b in range(2)], axis=-1)
+
+    def _dense(self, points: Floats, along: int | None = None) -> Floats:
+        matrix = np.zeros((len(points), len(self.control_points)))
+        numbers = np.arange(len(points))
+        for rows, functions, elements in self._entries(points, along):
+            matrix[numbers[rows], functions] += elements
+        return matrix
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _product(self, points: Floats, parameters: Floats, along: int | None = None) -> Floats:
+        product = np.zeros((len(points), parameters.shape[1]))
+        for block in blocks(len(points), 4):
+            here = product[block]
+            for rows, functions, elements in self._entries(points[block], along):
+                here[rows] += elements[:, None] * parameters[functions]
+        return product

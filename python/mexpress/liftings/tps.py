@@ -1,0 +1,177 @@
+"""Thin-plate splines: the smoothest functions with given values at scattered control points."""
+
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.liftings.lifting import Lifting, blocks, register
+
+__all__ = ["ThinPlateSpline", "kernel"]
+
+
+@register
+class ThinPlateSpline(Lifting):
+    """Thin-plate splines with given control points, in cardinal form.
+
+    The functions f(q) = a . (1, q) + sum_k w_k phi(|q - c_k|), phi(r) = r^2 log r, whose weights satisfy
+    sum_k w_k (1, c_k) = 0: a space of dimension l. Its coordinates x are the values f(c_k) at the control
+    points, so x is in the unit of the function, and constants and affine functions are contained exactly.
+    With three control points there are only the affine functions. So far from the control points that squared
+    distances overflow, values are infinite or NaN.
+
+    Parameters
+    ----------
+    control_points : array_like, (l, 2)
+        Positions c_k, as for every `Lifting`.
+
+    Examples
+    --------
+    >>> spline = ThinPlateSpline([[0, 0], [100, 0], [0, 100], [100, 100]])
+    >>> spline
+    ThinPlateSpline(4 control points)
+    >>> spline.basis([[100, 0], [50, 50]]).round(6) + 0.0
+    array([[0.  , 1.  , 0.  , 0.  ],
+           [0.25, 0.25, 0.25, 0.25]])
+    """
+
+    name: ClassVar[str] = "tps"
+
+    def basis(self, points: ArrayLike) -> Floats:
+        """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others.
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
+        array([[0. , 0.5, 0.5]])
+        """
+        return self.values(check.points(points, "points"), np.eye(len(self.control_points)))
+
+    def derivatives(self, points: ArrayLike) -> Floats:
+        """Return the derivatives of the l cardinal functions along x and y at n points, (n, l, 2).
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).derivatives([[1, 1]]).round(6) + 0.0
+        array([[[-0.5, -0.5],
+                [ 0.5,  0. ],
+                [ 0. ,  0.5]]])
+        """
+        return self.slopes(check.points(points, "points"), np.eye(len(self.control_points)))
+
+    def bending(self) -> Floats:
+        """Return the rows Z whose squared norm is the bending energy, (l - 3, l).
+
+        ||Z x||^2 = w^T K w with K_jk = phi(|c_j - c_k|) and distances in the unit of the control points.
+        8 pi times this is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the plane. It belongs to the
+        function, not to its control points: splines with different control points compare.
+
+        Examples
+        --------
+        >>> energy = ThinPlateSpline([[0, 0], [1, 0], [0, 1], [1, 1]]).bending() @ [0, 0, 0, 1]
+        >>> (energy @ energy).round(6)
+        np.float64(0.360674)
+        """
+        return self._solution[1] / self._scale
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def values(self, points: Floats, parameters: Floats) -> Floats:
+        """Return nu(q_i) . x for every column x of the parameters, (n, r).
+
+        Examples
+        --------
+        >>> plane = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
+        >>> plane.values(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
+        array([[4.]])
+        """
+        weights = self._solution[0] @ parameters
+        values = np.empty((len(points), parameters.shape[1]))
+        for rows in blocks(len(points), len(weights)):
+            values[rows] = self._terms(points[rows]) @ weights
+        return values
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def slopes(self, points: Floats, parameters: Floats) -> Floats:
+        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2).
+
+        Examples
+        --------
+        >>> plane = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
+        >>> plane.slopes(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
+        array([[[1., 2.]]])
+        """
+        weights = self._solution[0] @ parameters
+        slopes = np.empty((len(points), parameters.shape[1], 2))
+        for rows in blocks(len(points), len(weights)):
+            for b, terms in enumerate(self._term_slopes(points[rows])):
+                slopes[rows, :, b] = terms @ weights
+        return slopes
+
+    def _terms(self, points: Floats) -> Floats:
+        """Return phi(|q - c_k|), x, y and 1 at n points, in normalised coordinates, (n, l + 3)."""
+        here, centres = self._normalised(points), self._normalised(self.control_points)
+        terms = np.empty((len(points), len(centres) + 3))
+        terms[:, :-3] = kernel(here, centres)
+        terms[:, -3:-1] = here
+        terms[:, -1] = 1
+        return terms
+
+    def _term_slopes(self, points: Floats) -> Floats:
+        """Return the derivatives of the terms along x and y, per unit of the points, (2, n, l + 3)."""
+        offsets = _offsets(self._normalised(points), self._normalised(self.control_points))
+        radial = 1 + np.log(np.maximum(offsets[0] ** 2 + offsets[1] ** 2, np.finfo(float).tiny))
+        terms = np.zeros((2, len(points), len(self.control_points) + 3))
+        for b in range(2):
+            terms[b, :, :-3] = radial * offsets[b]
+            terms[b, :, b - 3] = 1
+        return np.asarray(terms / self._scale)
+
+    @cached_property
+    def _centre(self) -> Floats:
+        return np.asarray(self.control_points.mean(axis=0))
+
+    @cached_property
+    def _scale(self) -> float:
+        return float(np.hypot(*(self.control_points - self._centre).T).max())
+
+    def _normalised(self, points: Floats) -> Floats:
+        # A similarity changes phi by multiples of r^2, which the conditions on w turn into constants: the
+        # functions are the same, and coordinates of thousands of pixels lose no digits.
+        return np.asarray((points - self._centre) / self._scale)
+
+    @cached_property
+    def _solution(self) -> tuple[Floats, Floats]:
+        """Return weights w and affine parts a of the cardinal functions, (l + 3, l), and the bending rows.
+
+        With U an orthonormal basis of {w : sum_k w_k (1, c_k) = 0}, G = U^T K U is positive definite, w = E x
+        with E = U G^-1 U^T, and the affine part interpolates what K w leaves: a = P^+ (x - K E x).
+        """
+        terms = self._terms(self.control_points)
+        kernels, affine = terms[:, :-3], terms[:, -3:]
+        side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
+        factor = np.linalg.cholesky(side.T @ kernels @ side)
+        bending = np.linalg.solve(factor, side.T)
+        weights = bending.T @ bending
+        remainder = np.eye(len(kernels)) - kernels @ weights
+        return np.vstack([weights, np.linalg.pinv(affine) @ remainder]), bending
+
+
+def kernel(points: Floats, centres: Floats) -> Floats:
+    """Return phi = r^2 log r = (r^2 log r^2) / 2, (n, l); the floor under the logarithm gives 0 at r = 0.
+
+    Examples
+    --------
+    >>> kernel(np.array([[0.0, 0.0]]), np.array([[0.0, 0.0], [0.0, 3.0]])).round(3) + 0.0
+    array([[0.   , 9.888]])
+    """
+    x, y = _offsets(points, centres)
+    squared = x**2 + y**2
+    return np.asarray(0.5 * squared * np.log(np.maximum(squared, np.finfo(float).tiny)))
+
+
+def _offsets(points: Floats, centres: Floats) -> tuple[Floats, Floats]:
+    x, y = (np.subtract.outer(points[:, b], centres[:, b]) for b in range(2))
+    return x, y

@@ -1,0 +1,181 @@
+"""Delaunay triangulation: its triangles, which of them holds a point, and the hull."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _core
+from mexpress._validation import Floats
+
+__all__ = ["Indices", "Triangulation"]
+
+Indices: TypeAlias = NDArray[np.intp]
+
+_SAME_DIRECTION = 1e-9
+"""Angle in radians below which two neighbours of a point are in the same direction from it."""
+
+_NEXT = np.array([1, 2, 0])
+
+_SLACK = 1e-12
+"""A point with no barycentric coordinate below minus this is in a triangle: rounding may put it there."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Triangulation:
+    """The Delaunay triangulation of points that are neither on a line nor coincident.
+
+    Parameters
+    ----------
+    points : ndarray, (l, 2)
+        Corners of the triangles.
+
+    Examples
+    --------
+    >>> square = Triangulation(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]]))
+    >>> square
+    Triangulation(5 points, 4 triangles)
+    >>> found = square.locate(np.array([[0.5, 0.1], [2.0, 0.5]]))
+    >>> found >= 0
+    array([ True, False])
+    >>> square.corners[found[0]]
+    array([0, 1, 4])
+    """
+
+    points: Floats
+
+    def __repr__(self) -> str:
+        return f"Triangulation({len(self.points)} points, {len(self.corners)} triangles)"
+
+    @cached_property
+    def corners(self) -> Indices:
+        """Points of every triangle, counter-clockwise from the smallest index, (t, 3).
+
+        Examples
+        --------
+        >>> Triangulation(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).corners
+        array([[0, 2, 1]])
+        """
+        here, after, following = _turns(self.points)
+        faces = np.column_stack([here, after, following])
+        smallest = faces.argmin(axis=1)[:, None]
+        faces, found = np.unique(
+            np.take_along_axis(faces, (smallest + np.arange(3)) % 3, axis=1), axis=0, return_counts=True
+        )
+        # All but the outer face are triangles. It has three corners only if there is one triangle.
+        triangles = faces[found == 3]
+        return np.asarray(triangles[_doubled_area(self.points[triangles]) > 0])
+
+    @cached_property
+    def sides(self) -> Floats:
+        """From every corner of every triangle to the next one, (t, 3, 2)."""
+        corners = self.points[self.corners]
+        return np.asarray(corners[:, _NEXT] - corners)
+
+    @cached_property
+    def areas(self) -> Floats:
+        """Areas of the triangles, (t,)."""
+        return 0.5 * _doubled_area(self.points[self.corners])
+
+    @cached_property
+    def neighbours(self) -> Indices:
+        """The triangle beyond every side of every triangle, -1 beyond the hull, (t, 3)."""
+        ends, count = self.corners[:, _NEXT], len(self.points)
+        one_way, other_way = (self.corners * count + ends).ravel(), (ends * count + self.corners).ravel()
+        order = one_way.argsort()
+        place = order[np.searchsorted(one_way, other_way, sorter=order).clip(max=len(order) - 1)]
+        return np.where(one_way[place] == other_way, place // 3, -1).reshape(-1, 3)
+
+    @cached_property
+    def gradients(self) -> Floats:
+        """Derivatives along x and y of every corner's barycentric coordinate, (t, 3, 2)."""
+        opposite = self.sides[:, _NEXT]
+        return np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / (2 * self.areas[:, None, None])
+
+    @cached_property
+    def hull(self) -> tuple[Indices, Indices]:
+        """Triangles and sides that make the hull, (h,) each."""
+        triangle, side = np.nonzero(self.neighbours < 0)
+        return triangle, side
+
+    def locate(self, points: Floats) -> Indices:
+        """Return which triangle holds each of n points, (n,); negative for a point outside of all.
+
+        A visibility walk: to a neighbour across a side that the point is beyond, which ends in a Delaunay
+        triangulation. It starts from the triangle at the middle of the point's cell in a grid.
+        """
+        return self._walk(points, self._cells[1][self._cell_of(points)])
+
+    def _walk(self, points: Floats, start: Indices) -> Indices:
+        """Return the triangle where the walk ends, or ~t if it leaves the hull from triangle t."""
+        at, came = start.copy(), np.full(len(points), -2)
+        walking = np.arange(len(points))
+        for _ in range(2 * len(self.corners)):  # enough but for ties that rounding makes
+            here = at[walking]
+            offset = points[walking, None] - self.points[self.corners[here]]
+            side = self.sides[here]
+            beyond = side[..., 0] * offset[..., 1] - side[..., 1] * offset[..., 0]
+            limit = -2 * _SLACK * self.areas[here, None]
+            # Not back: a point between two triangles must not go to and fro.
+            beyond[self.neighbours[here] == came[walking, None]] = np.inf
+            across = beyond.argmin(axis=1)
+            rows = np.flatnonzero(np.take_along_axis(beyond - limit, across[:, None], axis=1)[:, 0] < 0)
+            if not len(rows):
+                break
+            walking, here = walking[rows], here[rows]
+            target = self.neighbours[here, across[rows]]
+            at[walking] = np.where(target < 0, ~here, target)
+            came[walking] = here
+            walking = walking[target >= 0]
+        return at
+
+    @cached_property
+    def _cells(self) -> tuple[tuple[Floats, Floats, int], Indices]:
+        """Return the corner, the size and the number along each axis of a grid's cells; a triangle for each."""
+        low, extent = self.points.min(axis=0), np.ptp(self.points, axis=0)
+        count = int(np.ceil(np.sqrt(len(self.corners))))
+        middle = (np.arange(count) + 0.5) / count
+        centres = low + np.column_stack([np.tile(middle, count), np.repeat(middle, count)]) * extent
+        found = self._walk(centres, np.zeros(count**2, dtype=np.intp))
+        return (low, extent / count, count), np.where(found < 0, ~found, found)
+
+    def _cell_of(self, points: Floats) -> Indices:
+        low, size, count = self._cells[0]
+        column, row = ((points - low) / size).clip(0, count - 1).astype(np.intp).T
+        return np.asarray(column + count * row)
+
+
+def _doubled_area(corners: Floats) -> Floats:
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def _turns(points: Floats) -> tuple[Indices, Indices, Indices]:
+    """Return every point with two neighbours of it that follow one another counter-clockwise.
+
+    Where points are on a straight part of the hull but for rounding, the hull's edges may skip some of them.
+    Such an edge has the direction of a shorter one, and is left out: the triangle between them is nothing.
+    """
+    offsets, members = _core.neighbours_delaunay(points)
+    here = np.repeat(np.arange(len(points)), np.diff(offsets))
+    here, there = here[members != here], members[members != here]
+    while True:
+        offset = points[there] - points[here]
+        angle = np.arctan2(offset[:, 1], offset[:, 0])
+        order = np.lexsort((angle, here))
+        here, there, angle, offset = here[order], there[order], angle[order], offset[order]
+        first = np.searchsorted(here, np.arange(len(points)))
+        following = np.arange(1, len(here) + 1)
+        following[np.append(first[1:], len(here)) - 1] = first
+        same = np.abs((angle[following] - angle + np.pi) % (2 * np.pi) - np.pi) < _SAME_DIRECTION
+        if not same.any():
+            return here, there, there[following]
+        length = np.hypot(*offset.T)
+        longer = np.where(length > length[following], np.arange(len(here)), following)[same]
+        left_out = np.concatenate(
+            [here[longer] * len(points) + there[longer], there[longer] * len(points) + here[longer]]
+        )
+        kept = ~np.isin(here * len(points) + there, left_out)
+        here, there = here[kept], there[kept]
