@@ -120,17 +120,19 @@ def draw_ratios(records, tables, draws, path):
     axes.axvspan(1, CLOSE, color="#009E73", alpha=0.2, lw=0)
     shown = [name for name in LOOKS if any(name in methods for _, methods in tables)]
     for some, methods in tables:
+        order = [name for name in LOOKS if name in methods]
         middle = medians(records, some, methods, draws)
         ratios = middle / np.nanmin(middle, axis=1, keepdims=True)
         for name, across in zip(methods, ratios.T, strict=True):
             marker, colour = LOOKS[name]
-            below = [rows.index(row) + 0.7 * (shown.index(name) + 0.5) / len(shown) - 0.35 for row in some]
+            place = (order.index(name) + 0.5) / len(order)
+            below = [rows.index(row) + 0.7 * (place - 0.5) for row in some]
             size = 10 if name == OURS else 6.5
             look = {"color": colour, "mec": "white", "mew": 0.6, "clip_on": False, "zorder": 3}
             axes.plot(across.clip(max=FAR), below, marker, ms=size, label=name, **look)
     axes.hlines(np.arange(1, len(rows)) - 0.5, 0.97, FAR, color="#DDDDDD", lw=0.8)
     axes.set(xscale="log", xlim=(0.97, FAR), xlabel="median error relative to the best method of the row")
-    axes.set_xticks([1, 1.1, 1.2, 1.5, 2, 3, 5, 10], ["1", "1.1", "1.2", "1.5", "2", "3", "5", "10 or more"])
+    axes.set_xticks([1, 1.2, 1.5, 2, 3, 5, 10], ["1", "1.2", "1.5", "2", "3", "5", "10 or more"])
     axes.set_xticks([], minor=True)
     axes.set(ylim=(len(rows) - 0.5, -0.5))
     axes.set_yticks(range(len(rows)), rows)
