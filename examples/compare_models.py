@@ -160,21 +160,20 @@ def run(options):
     """Compute, and write the tables and the plot."""
     options.out.mkdir(parents=True, exist_ok=True)
     records = Records(options.out / "errors.csv")
-    rows, methods = options.rows.split(","), options.methods.split(",")
-    tables = [
-        (containing(rows, draw), containing(methods, named))
-        for draw, named in (
-            (problems.warps(options.data), WARPS),
-            (problems.surfaces(options.data), SURFACES),
-        )
-    ]
+    tables = []
+    for drawn, named in (problems.warps(options.data), WARPS), (problems.surfaces(options.data), SURFACES):
+        rows = containing(options.rows.split(","), drawn)
+        methods = containing(options.methods.split(","), named)
+        if rows and methods:
+            tables.append((rows, methods))
+    if not tables:
+        sys.exit(f"No row and method have such names; methods are {', '.join(METHODS)}.")
     draws = FEW if options.quick else DRAWS
     compute(options, records, tables, draws)
     lines = []
     for rows, methods in tables:
-        if rows and methods:
-            lines += [*table(records, rows, methods, draws), ""]
-        if rows and OURS in methods:
+        lines += [*table(records, rows, methods, draws), ""]
+        if OURS in methods:
             lines += [*verdicts(records, rows, methods, draws), ""]
     (options.out / "models.md").write_text("\n".join(lines), encoding="utf-8")
     print("\n".join(lines))

@@ -3,7 +3,6 @@
 from functools import partial
 
 import numpy as np
-from rbf.interpolate import RBFInterpolant
 from scipy.interpolate import RBFInterpolator
 from skimage.transform import ProjectiveTransform, ThinPlateSplineTransform
 
@@ -74,9 +73,10 @@ def cross_validated_spline(problem, folds=None):
 
 def automatic_spline(problem):
     """Fit the smoothing spline of treverhines-rbf, which finds its weight itself."""
-    return RBFInterpolant(problem.source, problem.target, sigma="auto", phi="phs2", order=1)(
-        problem.test_source
-    )
+    from rbf.interpolate import RBFInterpolant  # noqa: PLC0415  only here, so that all else runs without
+
+    fitted = RBFInterpolant(problem.source, problem.target, sigma="auto", phi="phs2", order=1)
+    return fitted(problem.test_source)
 
 
 def selected_warp(problem, lifting, smoothing):
