@@ -44,7 +44,7 @@ from versus import CORES, REST, THREADS, MatrixProduct, describe_machine, show, 
 import mexpress as mx
 from mexpress.clouds import read_cloud
 from mexpress.criteria import Judge
-from mexpress.designs import surface_design
+from mexpress.designs import nested_surface_design
 
 LOCAL = ("ER01", "ER05", "ER10", "NN01PCT", "NN05PCT", "NN10PCT")
 CRITERIA = ("ER10", "ER01", "ER05", "NN01PCT", "NN05PCT", "NN10PCT", "PRESS", "AIC", "BIC")
@@ -101,7 +101,7 @@ def models(setting: Setting) -> None:
     control_points = mx.select_surface(points, b, "FIT", ["FIT"], p).control_points
     designs = {
         "random": rng.standard_normal((n, p)),
-        "thin-plate spline": surface_design(points, b, control_points).A,
+        "thin-plate spline": nested_surface_design(points, b, control_points).A,
     }
     rows = [
         row
@@ -168,7 +168,7 @@ def surface(setting: Setting) -> None:
     schemes = Judge.of(LOCAL, points).schemes
     show_work(schemes, counts[-1], len(points), runs, product)
     control_points = mx.select_surface(points, values, "FIT", ["FIT"], setting.most).control_points
-    A = surface_design(points, values, control_points).A
+    A = nested_surface_design(points, values, control_points).A
     # In a hole of the training rows, predictions of the largest models have fewer digits; real data have such holes.
     problem = Problem(A, values, schemes, np.array(counts), 1e-4 if setting.data else 1e-7)
     show_others(problem, runs, setting)

@@ -159,6 +159,41 @@ proptest! {
         prop_assert_eq!(found.rows, validated);
     }
 
+    /// Of all that is held out it is the inverse of I - H_KK, on both sides of the dual's limit; of some, its part.
+    #[test]
+    fn spreads_invert_what_is_left_of_the_hat_matrix(case in cases(), seed in any::<u64>(), size in 1usize..20) {
+        let fit = case.fit();
+        let mut held: Vec<usize> = (0..case.rows).collect();
+        held.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(seed | 1));
+        held.truncate(size.min(case.rows - 1));
+        held.sort_unstable();
+        let q = held.len();
+        let validated: Vec<usize> = held.iter().copied().step_by(2).collect();
+        let t = validated.len();
+        let (k, some): (Sets, Sets) = ([held.clone()].into_iter().collect(), [validated].into_iter().collect());
+        let rows = singles(case.rows);
+        let spread = |validated: &Sets, threads| {
+            fit.spread(&Pairs { held: &k, validated, rows: &rows, order: &[] }, &pool(threads)).unwrap()
+        };
+        let (whole, part) = (spread(&k, 1), spread(&some, 2));
+        let h = fit.hat_blocks(&k, &pool(1)).unwrap();
+        let largest = whole.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let lost = case.predict(&fit, &k, &k, 1).status[0] == Status::Undefined;
+        // Near rank loss rounding decides whether there is an inverse.
+        prop_assert!(!largest.is_nan() && (!lost || largest > 1e10 || whole[0].is_nan()));
+        if largest < 1e8 && !whole[0].is_nan() {
+            for i in 0..q {
+                for j in 0..q {
+                    let one = |i, j| if i == j { 1.0 } else { 0.0 };
+                    let sum: f64 = (0..q).map(|l| (one(i, l) - h[i * q + l]) * whole[l * q + j]).sum();
+                    prop_assert!((sum - one(i, j)).abs() < 1e-12 * (1.0 + largest));
+                }
+            }
+            let picked: Vec<f64> = (0..t * t).map(|at| whole[2 * (at / t) * q + 2 * (at % t)]).collect();
+            prop_assert!(close(&part, &picked, 1e-12 * largest));
+        }
+    }
+
     #[test]
     fn rows_may_come_in_any_order(case in cases()) {
         let reversed: Vec<usize> = (0..case.rows).rev().collect();

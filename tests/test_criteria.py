@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 import mexpress as mx
 from mexpress.criteria import Judge, parse
+from mexpress.nested import Nested
+from mexpress.placement import covered_region, lattice
 from mexpress.selection import largest_count
 
 NAMES = [
@@ -20,6 +22,7 @@ NAMES = [
     "NN05PCT",
     "NN2.5PCT",
     "DELAUNAY",
+    "MATCHED",
     "LPO02",
 ]
 NAMES += ["RS20PCT", "AIC", "BIC", "GCV"]
@@ -98,6 +101,31 @@ def test_percentages_of_the_data(n, name, k):
     assert lists(scheme_of(name, points).held_out) == lists(scheme_of(f"NN{k}PTS", points).held_out)
     if k == 1:
         assert lists(scheme_of(name, points).held_out) == lists(scheme_of("CMPRESS", points).held_out)
+
+
+def test_matched_asks_for_the_region_that_the_data_cover():
+    rng = np.random.default_rng(1)
+    crowds = rng.uniform(size=(5, 2))[rng.integers(5, size=200)] + rng.normal(0, 0.02, (200, 2))
+    even = lattice(covered_region(crowds), 2000)
+    scheme = scheme_of("matched", crowds)
+    assert lists(scheme.held_out) == lists(mx.schemes.matched(crowds, even).held_out)
+    assert scheme.held_out.sizes.max() > 20
+
+
+def test_matched_is_listed_for_nested_models_too():
+    x, y = np.random.default_rng(2).uniform(size=(2, 60)) ** 3
+    points, values = np.column_stack([x, y]), np.sin(5 * x) + y
+    design = np.column_stack([x**i * y**j for i in range(3) for j in range(3)])
+    judge = Judge.of(["MATCHED"], points, nested=True)
+    curve = judge.curves(Nested(design, values), np.arange(1, 10))["MATCHED"]
+    for size, score in zip(range(1, 10), curve, strict=True):
+        model = mx.LeastSquares(design[:, :size], values)
+        assert score.value == pytest.approx(Judge.of(["MATCHED"], points).scores(model)["MATCHED"].value)
+
+
+def test_matched_needs_data_that_cover_a_region():
+    with pytest.raises(ValueError, match=r"^Invalid criteria\. In MATCHED, .*"):
+        Judge.of(["MATCHED"], np.column_stack([np.arange(9.0), np.arange(9.0)]))
 
 
 def test_radius_is_a_percentage_of_the_diagonal():

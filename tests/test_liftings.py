@@ -240,14 +240,18 @@ def test_no_points_give_no_rows():
 
 @pytest.mark.parametrize("name", ["spline", "", None, 3, ["tps"]])
 def test_unknown_liftings_are_refused(name):
-    with pytest.raises(ValueError, match=r"Invalid lifting\. It must be one of tps, .* Given "):
+    with pytest.raises(
+        ValueError, match=r"Invalid lifting\. It must be one of affine, bspline, tps, .* Given "
+    ):
         make_lifting(name, scattered(4))
 
 
 def test_every_registered_lifting_reports_its_own_name():
-    for name in LIFTINGS:
-        assert make_lifting(name, scattered(5)).name == name
-        assert repr(make_lifting(name, scattered(5))).endswith("(5 control points)")
+    for name, lifting in LIFTINGS.items():
+        made = make_lifting(name, lifting.place(scattered(5), 16))
+        assert type(made) is lifting
+        assert made.name == name
+        assert repr(made) == f"{lifting.__name__}(16 control points)"
 
 
 # The nested form

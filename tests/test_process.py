@@ -183,7 +183,7 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
 
 SURFACE = """
         from mexpress.criteria import Judge
-        from mexpress.designs import surface_design
+        from mexpress.designs import nested_surface_design
         from mexpress.nested import Nested
         points = rng.uniform(0, 1000, (60_000, 2))
         values = np.sin(points[:, 0] / 100) + 0.1 * rng.normal(size=60_000)
@@ -257,14 +257,14 @@ LONG = {
     """,
     "a surface's neighbourhoods": f"""
         {SURFACE}
-        design = surface_design(points, values, points[:150])
+        design = nested_surface_design(points, values, points[:150])
         nested = Nested(design.A, design.b, threads=2)
         judge = Judge.of(["ER20", "NN25PCT"], points, nested=True)
         call = lambda: judge.curves(nested, np.arange(3, 151), 2)
     """,
     "a surface's folds": f"""
         {SURFACE}
-        design = surface_design(points, values, points[:300])
+        design = nested_surface_design(points, values, points[:300])
         nested = Nested(design.A, design.b, threads=2)
         judge = Judge.of(["KF1000", "PRESS"], points, nested=True)
         call = lambda: judge.curves(nested, np.arange(3, 301), 2)

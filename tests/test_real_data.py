@@ -9,7 +9,7 @@ import pytest
 
 import mexpress as mx
 from mexpress.clouds import read_cloud
-from mexpress.designs import surface_design
+from mexpress.designs import nested_surface_design
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 FLAT = DATA / "flat"
@@ -106,7 +106,7 @@ def test_surfaces_of_real_data(file, scale, n_valid):
     assert (np.diff(fit) <= 1e-9 * fit[0]).all()
     assert (press > fit).all()
     np.testing.assert_allclose(selection.curves["CMPRESS"], press, rtol=1e-9)  # one row to a datum
-    design = surface_design(cloud.points, cloud.values, selection.control_points)
+    design = nested_surface_design(cloud.points, cloud.values, selection.control_points)
     radius = 0.05 * np.hypot(*np.ptp(cloud.points, axis=0))
     scheme = mx.schemes.exclusion_radius(cloud.points, radius)
     for count in (3, 20, 40):

@@ -235,6 +235,183 @@ def test_delaunay_without_a_triangle(points):
     assert lists(s.delaunay(points).held_out) == expected
 
 
+# -------------------------------------------------------------------------------------------------- matched
+
+
+def matched_step_by_step(points, queries, min_train, cast=False):
+    """One distance matrix, one removal at a time: literally what CAST does, or as it is with a limit that binds."""
+    n = len(points)
+    distance = np.sqrt(((points[:, None] - points) ** 2).sum(axis=2))
+    np.fill_diagonal(distance, np.inf)
+    asked = np.sqrt(((points[:, None] - queries) ** 2).sum(axis=2)).min(axis=0)
+    left = distance.min(axis=1)
+    r = left.min()
+    while True:
+        too_many = ((left <= r).sum() - 1) / n >= (asked <= r).mean()
+        there = np.flatnonzero(left == r)
+        free = there[np.isfinite(distance[there]).sum(axis=1) / n > min_train]
+        if too_many and len(free) and (not cast or free[0] == there[0]):
+            nearest = np.flatnonzero(distance[free[0]] == r)
+            distance[free[0], nearest if cast else nearest[0]] = np.inf
+            left = distance.min(axis=1)
+            r = left[left >= r].min()
+        elif (left > r).any():
+            r = left[left > r].min()
+        else:
+            return [np.flatnonzero(np.isinf(row)).tolist() for row in distance]
+
+
+def kolmogorov(a, b):
+    both = np.concatenate([a, b])
+    return max(abs((a <= x).mean() - (b <= x).mean()) for x in both)
+
+
+def distances_left(scheme, points):
+    """From each datum to the nearest one that is not held out with it."""
+    every = np.hypot.reduce(points[:, None] - points, axis=2)
+    for i, held in enumerate(scheme.held_out):
+        every[i, held] = np.inf
+    return every.min(axis=1)
+
+
+def crowds(rng, n, d):
+    return rng.uniform(0, 1, (6, d))[rng.integers(6, size=n)] + rng.normal(0, 0.03, (n, d))
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_matched_is_the_published_algorithm(d):
+    rng = np.random.default_rng(d)
+    for points in (rng.uniform(size=(60, d)), crowds(rng, 80, d)):
+        for queries in (
+            rng.uniform(size=(150, d)),
+            rng.uniform(-0.2, 1.2, (31, d)),
+            points[:9] + 0.01,
+            points,
+        ):
+            scheme = s.matched(points, queries, min_train=1e-9)
+            check_around(scheme, len(points))
+            assert lists(scheme.held_out) == matched_step_by_step(points, queries, 0.01, cast=True)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("min_train", [0.1, 0.5, 0.9])
+def test_matched_leaves_what_it_must_and_lets_the_others_go_on(d, min_train):
+    rng = np.random.default_rng(d)
+    for points in (rng.uniform(size=(60, d)), crowds(rng, 80, d), rng.uniform(size=(20, d))):
+        for queries in (rng.uniform(size=(150, d)), rng.uniform(1, 1.5, (31, d)), points[:9] + 0.01):
+            scheme = s.matched(points, queries, min_train)
+            assert lists(scheme.held_out) == matched_step_by_step(points, queries, min_train)
+
+
+@given(grid_points, st.integers(0, 9), st.sampled_from([0.1, 0.5]), st.randoms(use_true_random=False))
+def test_matched_with_ties_and_duplicates(points, shift, min_train, random):
+    points = np.array(points * 2, dtype=float)[: max(len(points), 11)]
+    queries = np.array([[random.randint(-4, 4) + shift for _ in points[0]] for _ in range(7)], dtype=float)
+    scheme = s.matched(points, queries, min_train)
+    check_around(scheme, len(points))
+    if min_train * len(points) >= 1:  # or one is left all the same
+        assert lists(scheme.held_out) == matched_step_by_step(points, queries, min_train)
+
+
+def test_matched_distances_follow_those_of_the_queries():
+    rng = np.random.default_rng(1)
+    points, queries = rng.uniform(size=(400, 2)) ** 3, rng.uniform(size=(2000, 2))
+    asked = np.hypot.reduce(queries[:, None] - points, axis=2).min(axis=1)
+    alone, matched = (distances_left(x, points) for x in (s.leave_one_out(400), s.matched(points, queries)))
+    assert kolmogorov(alone, asked) > 0.3
+    assert kolmogorov(matched, asked) < 0.02
+
+
+def test_matched_to_queries_among_the_data_is_leave_one_out():
+    rng = np.random.default_rng(2)
+    points = rng.uniform(size=(300, 2))
+    dense = np.repeat(points, 5, axis=0) + rng.normal(0, 1e-5, (1500, 2))
+    assert lists(s.matched(points, dense).held_out) == [[i] for i in range(300)]
+
+
+@pytest.mark.parametrize(("n", "min_train", "held"), [(1, 0.5, 1), (2, 0.5, 1), (3, 0.5, 2), (100, 0.5, 50)])
+@pytest.mark.parametrize("place", [1e3, 1e90])
+def test_matched_to_queries_far_away_leaves_what_it_must(n, min_train, held, place):
+    points = np.random.default_rng(3).uniform(size=(n, 2))
+    scheme = s.matched(points, [[place, place]], min_train)
+    assert scheme.held_out.sizes.tolist() == [held] * n
+    assert lists(scheme.held_out) == lists(s.nearest(points, held).held_out)
+    assert sorted(scheme.order.tolist()) == list(range(n))
+
+
+def test_matched_leaves_the_share_that_is_asked_for():
+    points = np.random.default_rng(4).uniform(size=(40, 2))
+    for share, held in [(1.0, 1), (0.9, 4), (0.25, 30), (1e-9, 39)]:
+        assert set(s.matched(points, [[9.0, 9.0]], share).held_out.sizes) == {held}
+
+
+def test_matched_on_a_grid_with_ties_everywhere():
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), -1).reshape(-1, 2)
+    queries = np.random.default_rng(5).uniform(-8, 28, (500, 2))
+    scheme = s.matched(grid, queries, min_train=0.2)
+    assert lists(scheme.held_out) == matched_step_by_step(grid, queries, 0.2)
+    assert scheme.held_out.sizes.max() == 240
+    many = s.matched(grid, queries, min_train=0.2, threads=3)
+    assert lists(many.held_out) == lists(scheme.held_out)
+
+
+@pytest.mark.parametrize("queries", [[], [[0.0]], [[0.0, np.nan]], "all", [[0.0, np.inf]], [[1e200, 0.0]]])
+def test_matched_refuses_bad_queries(queries):
+    with pytest.raises((ValueError, TypeError), match="Invalid queries"):
+        s.matched([[0.0, 0.0], [1.0, 0.0]], queries)
+
+
+@pytest.mark.parametrize("share", [0, -1, 1.5, np.nan, "half", True])
+def test_matched_refuses_a_share_that_is_none(share):
+    with pytest.raises((ValueError, TypeError), match="Invalid min_train"):
+        s.matched([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0]], share)
+
+
+# ------------------------------------------------------------------------------------------- any distance
+
+
+def test_from_distance_is_an_exclusion_radius_if_distances_are_euclidean():
+    points = np.random.default_rng(6).uniform(size=(50, 2))
+    matrix = np.hypot.reduce(points[:, None] - points, axis=2)
+    near = lists(s.exclusion_radius(points, 0.3).held_out)
+    for delta, n in [(matrix, None), (matrix.tolist(), 50), (np.asfortranarray(matrix), None)]:
+        scheme = s.from_distance(delta, 0.3, n)
+        check_around(scheme, 50)
+        assert lists(scheme.held_out) == near
+    rows = s.from_distance(
+        lambda i: np.hypot.reduce(points - points[i], axis=1).astype(np.float32), 0.3, n=50
+    )
+    assert lists(rows.held_out) == near
+
+
+def test_from_distance_takes_rows_from_datum_to_others_and_always_the_datum():
+    delta = np.array([[9.0, 1.0, np.inf], [3.0, 9.0, 1.0], [-1.0, 2.0, 9.0]])
+    assert lists(s.from_distance(delta, 1).held_out) == [[0, 1], [1, 2], [0, 2]]
+    assert lists(s.from_distance(lambda i: delta[i], 1, n=3).held_out) == [[0, 1], [1, 2], [0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("delta", "tau", "n", "name"),
+    [
+        (np.ones((2, 3)), 1, None, "delta"),
+        (np.ones(3), 1, None, "delta"),
+        ([], 1, None, "delta"),
+        ("near", 1, None, "delta"),
+        ([[0.0, np.nan], [1.0, 0.0]], 1, None, "delta"),
+        (np.eye(2), -1, None, "tau"),
+        (np.eye(2), np.nan, None, "tau"),
+        (np.eye(2), 1, 3, "n"),
+        (lambda i: [0.0, 1.0], 1, None, "n"),
+        (lambda i: [0.0, 1.0], 1, 3, "delta"),
+        (lambda i: 0.0, 1, 1, "delta"),
+        (lambda i: "near", 1, 2, "delta"),
+    ],
+)
+def test_from_distance_refuses(delta, tau, n, name):
+    with pytest.raises((ValueError, TypeError), match=f"Invalid {name}\\."):
+        s.from_distance(delta, tau, n)
+
+
 # ---------------------------------------------------------------------------------------------- leave-p-out
 
 

@@ -10,7 +10,7 @@ from oracle import Problem
 import mexpress as mx
 from mexpress import progress
 from mexpress.criteria import Judge
-from mexpress.designs import surface_design
+from mexpress.designs import nested_surface_design
 from mexpress.nested import Nested
 from mexpress.schemes import Neighbourhoods
 
@@ -56,7 +56,7 @@ def own_schemes(n):
 
 def refitted(selection, criteria, smoothing=0.0):
     """Return every count's scores by plain least squares on the leading columns, with all schemes listed."""
-    design = surface_design(selection.points, selection.values, selection.control_points)
+    design = nested_surface_design(selection.points, selection.values, selection.control_points)
     judge = Judge.of(criteria, selection.points)
     scores = []
     for count in selection.counts:
@@ -133,7 +133,7 @@ def test_curves_are_those_of_refits_by_lstsq(shape):
     points, values = wavy(60, shape)
     names = ["FIT", "PRESS", "CMPRESS", "ER15", "AIC", "BIC", "GCV"]
     selection = mx.select_surface(points, values, "ER15", names, max_count=8)
-    design = surface_design(points, values, selection.control_points)
+    design = nested_surface_design(points, values, selection.control_points)
     near = s.exclusion_radius(points, 0.15 * np.hypot(*np.ptp(points, axis=0)))
     for k, count in enumerate(selection.counts):
         problem = Problem(design.A[:, :count], values, np.arange(60))
@@ -186,7 +186,7 @@ def test_the_surface_is_that_of_the_first_control_points(shape, criterion, smoot
         count == selection.selected[criterion] == selection.counts[np.nanargmin(selection.curves[criterion])]
     )
     np.testing.assert_array_equal(surface.control_points, selection.control_points[:count])
-    design = surface_design(points, values, selection.control_points)
+    design = nested_surface_design(points, values, selection.control_points)
     rows = np.sqrt(smoothing) * design.bending()[:, :count]
     expected = design.surface(mx.LeastSquares(design.A[:, :count], values, penalty=rows).coefficients, count)
     if smoothing == 0:
@@ -460,7 +460,7 @@ def test_the_order_of_the_data_does_not_matter_to_a_given_placement():
     for name in ("FIT", "CMPRESS", "ER10"):
         curves = []
         for chosen in (np.arange(150), order):
-            design = surface_design(points[chosen], values[chosen], centres)
+            design = nested_surface_design(points[chosen], values[chosen], centres)
             judge = Judge.of([name], points[chosen], nested=True)
             scores = judge.curves(Nested(design.A, design.b), selection.counts)[name]
             curves.append([score.value for score in scores])

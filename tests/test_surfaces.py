@@ -10,7 +10,8 @@ from test_meshes import read_obj
 
 import mexpress as mx
 from mexpress import files
-from mexpress.designs import fit_surface, surface_design
+from mexpress.designs import nested_surface_design
+from mexpress.fitting import fit_surface
 from mexpress.liftings import ThinPlateSpline
 from mexpress.surfaces import Surface
 
@@ -80,7 +81,7 @@ def test_leading_columns_of_the_design_fit_the_surface_of_the_leading_control_po
     values = np.random.default_rng(1).normal(size=(300, *shape)) + 10 * np.sin(points[:, :1] / 90).reshape(
         300, *len(shape) * [1]
     )
-    design = surface_design(points, values, centres)
+    design = nested_surface_design(points, values, centres)
     model = mx.LeastSquares(design.A[:, :count], design.b, coupling=design.coupling)
     surface, expected = (
         design.surface(model.coefficients, count),
@@ -95,7 +96,7 @@ def test_leading_columns_of_the_design_fit_the_surface_of_the_leading_control_po
 
 def test_the_bending_of_a_design_is_that_of_its_surfaces():
     points, centres = positions(100), control_points(12)
-    design = surface_design(points, points[:, 0], centres)
+    design = nested_surface_design(points, points[:, 0], centres)
     x = np.random.default_rng(2).normal(size=12)
     for count in (3, 4, 12):
         surface = design.surface(x, count)
@@ -108,7 +109,7 @@ def test_the_bending_of_a_design_is_that_of_its_surfaces():
 def test_smoothing_by_the_rows_of_bending_is_the_same_in_both_coordinates():
     points, centres = positions(100), control_points(12)
     values = np.sin(points[:, 0] / 70) + 0.3 * np.random.default_rng(2).normal(size=100)
-    design, spline, weight = surface_design(points, values, centres), ThinPlateSpline(centres), 2000.0
+    design, spline, weight = nested_surface_design(points, values, centres), ThinPlateSpline(centres), 2000.0
     nested = mx.LeastSquares(design.A, values, penalty=weight * design.bending())
     cardinal = mx.LeastSquares(spline.basis(points), values, penalty=weight * spline.bending())
     free = mx.LeastSquares(design.A, values)
@@ -135,7 +136,7 @@ def test_neither_the_unit_nor_the_place_of_the_points_matters(size, offset, shap
     np.testing.assert_allclose(grid.values, same.values, rtol=0, atol=1e-7)
     assert 0.9e4 < moved.grid().inside.sum() < 1.1e4
     count = len(expected.grid(shape=(9, 9)).triangles)
-    assert len(surface_design(size * points + offset, values, size * centres + offset).A) == 80
+    assert len(nested_surface_design(size * points + offset, values, size * centres + offset).A) == 80
     assert len(moved.grid(shape=(9, 9)).triangles) == count
 
 
@@ -524,7 +525,10 @@ def test_surfaces_say_what_they_are():
     assert repr(bent()) == "Surface(depth, tps, 12 control points)"
     assert repr(bent((1,))) == "Surface(depth, tps, 12 control points)"
     assert repr(bent((5,), 3)) == "Surface(5 values, tps, 3 control points)"
-    assert repr(surface_design(positions(9), np.ones(9), control_points(4))) == "SurfaceDesign(9 x 4)"
+    assert (
+        repr(nested_surface_design(positions(9), np.ones(9), control_points(4)))
+        == "NestedSurfaceDesign(9 x 4)"
+    )
 
 
 def test_a_surface_does_not_change_with_the_arrays_it_was_made_from():
@@ -578,7 +582,7 @@ def test_points_that_are_none_are_refused(method, points):
         getattr(bent(), method)(points)
 
 
-@pytest.mark.parametrize("fit", [fit_surface, surface_design])
+@pytest.mark.parametrize("fit", [fit_surface, nested_surface_design])
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -617,7 +621,7 @@ def test_control_points_that_begin_on_a_line_suit_a_fit_but_no_sweep():
     points, centres = positions(50), np.array([[0, 0], [100, 100], [200, 200], [0, 300.0]])
     assert np.isfinite(fit_surface(points, points[:, 0], centres).parameters).all()
     with pytest.raises(ValueError, match=r"Invalid control_points\. The first three must not lie on a line"):
-        surface_design(points, points[:, 0], centres)
+        nested_surface_design(points, points[:, 0], centres)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ import skimage.transform
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mexpress.designs import fit_warp, warp_design
+from mexpress.designs import warp_design
 from mexpress.files import load, save
+from mexpress.fitting import fit_warp
 from mexpress.liftings import ThinPlateSpline
 from mexpress.warps import Warp
 

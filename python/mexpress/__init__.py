@@ -13,8 +13,8 @@ from importlib.metadata import version
 from mexpress import criteria, schemes
 from mexpress.batch import map_problems
 from mexpress.clouds import Cloud, read_cloud
-from mexpress.designs import fit_surface, fit_warp
 from mexpress.files import load
+from mexpress.fitting import fit_surface, fit_warp
 from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning
 from mexpress.nested import cross_validate_nested
 from mexpress.selection import Selection, SurfaceSelection, WarpSelection, select_surface, select_warp

@@ -8,6 +8,8 @@ KFkk                    kk random folds, equation (9)
 ERxx                    local exclusion of all within xx % of the diagonal, equations (12, 13); decimals allowed
 NNxxPTS, NNxxPCT        local exclusion of the xx nearest, or xx % of the data, the datum itself counted
 DELAUNAY                local exclusion of the neighbours in the Delaunay triangulation
+MATCHED                 local exclusion of so many near data that predictions reach as far as from the data's region,
+                        sampled evenly, to the data: `mexpress.schemes.matched`
 LPOxx                   sets of xx data, at most 1000 of them, drawn at random
 RSxxPCT                 random xx % of the data, 100 times
 AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) for parameters
@@ -37,13 +39,18 @@ from mexpress import schemes
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.nested import Nested, NestedCurve
+from mexpress.placement import covered_region, lattice
 from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone
 
-__all__ = ["Criterion", "Judge", "Score", "parse"]
+__all__ = ["UNITLESS", "Criterion", "Judge", "Score", "parse"]
+
+UNITLESS = frozenset({"AIC", "BIC"})
+"""Criteria without a unit."""
 
 Made = TypeVar("Made")
 
 LEAVE_P_OUT_SETS = 1000
+LEAST_QUERIES = 2000
 RANDOM_REPEATS = 100
 
 
@@ -78,6 +85,12 @@ def _share(percent: float, n: int) -> int:
     return max(1, math.floor(percent * n / 100 + 0.5))
 
 
+def _over_domain(data: Data) -> Scheme:
+    """Distances matched to those from the region that the data cover."""
+    queries = lattice(covered_region(data.points), max(LEAST_QUERIES, len(data.points)))
+    return schemes.matched(data.points, queries, threads=data.threads)
+
+
 SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
     "CMPRESS": lambda _, data: schemes.leave_one_out(len(data.points)),
     "KF": lambda k, data: schemes.k_fold(len(data.points), int(k), data.seed),
@@ -89,6 +102,7 @@ SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
         data.points, _share(percent, len(data.points)), data.threads
     ),
     "DELAUNAY": lambda _, data: schemes.delaunay(data.points),
+    "MATCHED": lambda _, data: _over_domain(data),
     "LPO": lambda p, data: schemes.leave_p_out(len(data.points), int(p), LEAVE_P_OUT_SETS, data.seed),
     "RS..PCT": lambda percent, data: schemes.random_sampling(
         len(data.points), _share(percent, len(data.points)), RANDOM_REPEATS, data.seed
@@ -151,7 +165,9 @@ FORMULAS: dict[str, Callable[[Fit], float]] = {
 }
 
 _WHOLE, _DECIMAL = r"(\d+)", r"(\d+(?:\.\d+)?)"
-_PATTERNS = {name: name for name in ("FIT", "PRESS", "CMPRESS", "DELAUNAY", "AIC", "BIC", "GCV")} | {
+_PATTERNS = {
+    name: name for name in ("FIT", "PRESS", "CMPRESS", "DELAUNAY", "MATCHED", "AIC", "BIC", "GCV")
+} | {
     "KF": f"KF{_WHOLE}",
     "ER": f"ER{_DECIMAL}",
     "NN..PTS": f"NN{_WHOLE}PTS",
@@ -180,7 +196,9 @@ def parse(name: str) -> Criterion:
     >>> parse("KF05")
     Criterion(name='KF05', family='KF', amount=5.0)
     """
-    families = "FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, LPOxx, RSxxPCT, AIC, BIC, GCV"
+    families = (
+        "FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, MATCHED, LPOxx, RSxxPCT, AIC, BIC, GCV"
+    )
     rule = f"It must be one of {families}."
     if not isinstance(name, str):
         check.refuse("criterion", rule, check.describe(name), TypeError)

@@ -209,7 +209,37 @@ class LeastSquares:
         threads: int | None = None,
     ) -> None:
         given = Problem.of(A, b, coupling, weights, penalty)
-        factor = _core.Factor(*given.arrays, check.threads(threads))
+        self._keep(given, _core.Factor(*given.arrays, check.threads(threads)))
+
+    @classmethod
+    def orthonormal(
+        cls, Q: Floats, b: Floats, coupling: int, penalty: Floats, threads: int | None = None
+    ) -> LeastSquares:
+        """Take a design that has orthonormal columns together with its penalty rows: there is nothing to factorise.
+
+        Parameters
+        ----------
+        Q : (m, p) array
+            Design matrix.
+        b, coupling, threads
+            As for the class.
+        penalty : (k, p) array
+            ``Q^T Q + penalty^T penalty`` is the identity; the caller answers for it.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.LeastSquares.orthonormal(np.full((4, 1), 0.5), np.arange(4.0), 1, np.zeros((0, 1))).coefficients
+        array([3.])
+        """
+        model = object.__new__(cls)
+        given = Problem.of(Q, b, coupling, None, penalty)
+        design, responses, _, rows = given.arrays
+        model._keep(given, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
+        return model
+
+    def _keep(self, given: Problem, factor: _core.Factor) -> None:
         flat = given.responses.ndim == 1
         residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
         self._set(
@@ -322,6 +352,47 @@ class LeastSquares:
         parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1]) if len(kept) else []
         return [part.reshape(q, q) for part, q in zip(parts, kept.sizes, strict=True)]
 
+    def prediction_spread(self, scheme: Scheme, threads: int | None = None) -> list[Floats]:
+        """How far noise alone drives the prediction residuals of every pair: ``((I - H_KK)^-1)_TT``.
+
+        That is their covariance, in units of the variance of noise that is independent and the same in all rows; each
+        response has the same. With weights it is that of residuals times the root of the weight, and in units
+        of the variance of a row of weight one. With a penalty it is larger than the covariance, which leaves out
+        the model's own error.
+
+        Parameters
+        ----------
+        scheme : Scheme
+            From `mexpress.schemes`; over this model's data.
+        threads : int, optional
+            At most so many threads. The result does not depend on it.
+
+        Returns
+        -------
+        list of (t, t) arrays
+            One a pair, for the rows of the validated data in the order of `cross_validate`; NaN if the pair's training
+            rows lose rank.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
+        >>> [float(c[0, 0].round(6)) for c in model.prediction_spread(mx.schemes.leave_one_out(3))]
+        [1.5, 1.5, 1.5]
+        """
+        _expect_scheme(self, scheme)
+        held, validated, rows = scheme.held_out, scheme.validated, self._coupling
+        flat = self._factor.spread(
+            (held.offsets, held.indices),
+            (validated.offsets, validated.indices),
+            (rows.offsets, rows.indices),
+            check.threads(threads),
+        )
+        ends = np.concatenate([[0], np.cumsum(rows.sizes[validated.indices])])[validated.offsets]
+        sizes = np.diff(ends)
+        parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(scheme) else []
+        return [part.reshape(t, t) for part, t in zip(parts, sizes, strict=True)]
+
     def cross_validate(self, scheme: Scheme, threads: int | None = None) -> CrossValidation:
         """Predict the validated data of every pair of a scheme, its held-out data left out of the fit.
 
@@ -347,9 +418,7 @@ class LeastSquares:
         >>> model.cross_validate(near).score > model.fit_rms
         True
         """
-        if not isinstance(scheme, Scheme):
-            rule = "It must come from mexpress.schemes."
-            check.refuse("scheme", rule, check.describe(scheme), TypeError)
+        _expect_scheme(self, scheme)
         found = cross_validate_all(self, {"": scheme}, threads)[""]
         where = "the attribute 'undefined' of the result lists them, the first is"
         _warn(found.undefined, len(scheme), "pairs", where)
@@ -417,9 +486,7 @@ def cross_validate_all(
     if not schemes:
         return {}
     for scheme in schemes.values():
-        if scheme.n_data != model.n_data:
-            rule = f"It must be over the model's {model.n_data} data."
-            check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
+        _expect_scheme(model, scheme)
     held = concatenate(scheme.held_out for scheme in schemes.values())
     validated = concatenate(scheme.validated for scheme in schemes.values())
     along = next((scheme for scheme in schemes.values() if scheme.order is not None), None)
@@ -431,6 +498,16 @@ def cross_validate_all(
         name: model._part(together, first, last)
         for name, first, last in zip(schemes, starts, ends, strict=True)
     }
+
+
+def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
+    """A scheme is over the model's data."""
+    if not isinstance(scheme, Scheme):
+        rule = "It must come from mexpress.schemes."
+        check.refuse("scheme", rule, check.describe(scheme), TypeError)
+    if scheme.n_data != model.n_data:
+        rule = f"It must be over the model's {model.n_data} data."
+        check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
 
 
 def _first_validated(scheme: Scheme) -> Integers:

@@ -1,4 +1,4 @@
-"""Where control points go: evenly over the region that the data cover, or to the data that fit worst."""
+"""Where control points go: over the region that the data cover, to the data that fit worst, or to all data in turn."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,7 +7,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 
-__all__ = ["by_residual", "covered_region", "lattice", "lloyd", "thinness"]
+__all__ = ["area", "by_residual", "covered_region", "farthest_first", "lattice", "lloyd", "thinness"]
 
 NEAR_LINE = 1e-6
 """Points are on a line when their spread across it is below this fraction of the spread along it."""
@@ -123,6 +123,17 @@ def lattice(corners: Floats, number: int) -> Floats:
     return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
 
 
+def area(corners: Floats) -> float:
+    """Return the area of a convex region, in the squared unit of its corners, (k, 2).
+
+    Examples
+    --------
+    >>> area(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]]))
+    6.0
+    """
+    return _moments(corners)[2]
+
+
 def lloyd(
     points: ArrayLike, count: int, seed: int | np.random.Generator | None = 0, threads: int | None = None
 ) -> Floats:
@@ -176,6 +187,59 @@ def lloyd(
         if thinness(white) > 0.1:
             break
     return np.asarray(centroid + white @ shape.T)
+
+
+def farthest_first(points: ArrayLike, max_count: int) -> Integers:
+    """Order data so that every leading part of them is spread evenly: each next is farthest from those before.
+
+    The first is farthest from the mean of the data, the second from the first, and the third makes the largest
+    triangle with them.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Data positions, x then y, in any unit.
+    max_count : int
+        How many are wanted, 3 or more.
+
+    Returns
+    -------
+    ndarray, (l,)
+        Indices of the data; a tie goes to the smallest. Fewer than `max_count` if the others coincide with them
+        (they are nearer than 1e-5 of the diagonal of the points' bounding box).
+
+    Raises
+    ------
+    ValueError
+        If the points are on a line, fewer than three distinct ones, not finite, or `max_count` is below 3.
+    TypeError
+        If the points are not numbers, or `max_count` is not a number.
+
+    Examples
+    --------
+    >>> farthest_first([[0, 0], [4, 0], [4, 4], [0, 4], [2, 2], [2, 1]], 5)
+    array([0, 2, 1, 3, 4])
+    """
+    points = check.points(points, "points")
+    covered_region(points)
+    max_count = check.count(max_count, "max_count", 3)
+    first = int(_distances(points, points.mean(axis=0)).argmax())
+    second = int(_distances(points, points[first]).argmax())
+    (x, y), (a, b) = (points - points[first]).T, points[second] - points[first]
+    chosen = [first, second, int(np.abs(b * x - a * y).argmax())]
+    nearest = np.min([_distances(points, points[k]) for k in chosen], axis=0)
+    coincident = COINCIDENT * float(np.hypot(*np.ptp(points, axis=0)))
+    while len(chosen) < min(max_count, len(points)):
+        k = int(nearest.argmax())
+        if nearest[k] <= coincident:
+            break
+        chosen.append(k)
+        np.minimum(nearest, _distances(points, points[k]), out=nearest)
+    return np.array(chosen, dtype=np.int64)
+
+
+def _distances(points: Floats, point: Floats) -> Floats:
+    return np.asarray(np.hypot(*(points - point).T))
 
 
 def by_residual(

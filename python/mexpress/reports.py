@@ -14,13 +14,11 @@ from typing import Any
 import numpy as np
 
 from mexpress._validation import Floats
+from mexpress.criteria import UNITLESS
 from mexpress.matches import write_rows
 from mexpress.selection import Selection
 
-__all__ = ["UNITLESS", "summary", "table", "versions", "write_curves", "write_summary"]
-
-UNITLESS = frozenset({"AIC", "BIC"})
-"""Criteria without a unit."""
+__all__ = ["summary", "table", "versions", "write_curves", "write_summary"]
 
 _MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""

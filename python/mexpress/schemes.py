@@ -31,17 +31,21 @@ __all__ = [
     "Scheme",
     "delaunay",
     "exclusion_radius",
+    "from_distance",
     "from_sets",
     "from_splits",
     "k_fold",
     "leave_one_out",
     "leave_p_out",
+    "matched",
     "nearest",
     "random_sampling",
 ]
 
 # Past this many indices, a list of all subsets is a mistake rather than a wish.
 MOST_INDICES = 100_000_000
+
+SHARE_RULE = "It must be a share above 0 and at most 1."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -352,6 +356,66 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     return _around(where, lambda: _core.neighbours_nearest(where, k, workers))
 
 
+def matched(
+    points: ArrayLike, queries: ArrayLike, min_train: float = 0.5, threads: int | None = None
+) -> Scheme:
+    """Validate each datum with so many of its nearest held out that predictions reach as far as in use.
+
+    Nearest-neighbour distance matching: the distances from validated data to their nearest training data are
+    spread as those from the queries to their nearest data are. Where data are as dense as the queries ask
+    for, that is leave-one-out; where they are crowded far from the queries, it is local exclusion.
+
+    Parameters
+    ----------
+    points : (n, d) array, d from 1 to 3
+        Where the data are.
+    queries : (q, d) array
+        Where the model will be used: a few hundred places at least, or a sample of them.
+    min_train : float, default 0.5
+        Share of the data that must be left to train on, above 0 and at most 1: a datum with no more left gets no
+        farther. One is always left.
+    threads : int, optional
+        At most so many threads.
+
+    Raises
+    ------
+    ValueError
+        If the points and the queries have not the same number of coordinates.
+
+    Notes
+    -----
+    This is the algorithm of the R package CAST (nndm with phi="max"), whose `min_train` has the same default. The
+    data are visited in the order of their distance to their nearest training datum, equal ones by index. If, with
+    this distance counted as r, more than 1 + n F(r) data have theirs within r, where F(r) is the share of
+    queries that have a datum within r, that nearest one is held out too; else the datum is done. So distances
+    only grow: queries nearer to the data than these are to each other leave it at leave-one-out. Of several at the
+    same distance the one with the smallest index is held out first. (CAST leaves alone all that are at the same
+    distance as a datum with no more than `min_train` left; here the others may go on.)
+
+    References
+    ----------
+    C. Mila, J. Mateu, E. Pebesma, H. Meyer, "Nearest neighbour distance matching leave-one-out cross-validation
+    for map validation", Methods in Ecology and Evolution, 2022.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> crowded = [[0.0], [0.1], [0.2], [5.0], [5.1], [5.2]]
+    >>> list(mx.schemes.matched(crowded, queries=[[2.0], [3.0], [7.0]]).held_out)[:2]
+    [array([0, 1, 2]), array([0, 1, 2])]
+    >>> mx.schemes.matched(crowded, queries=crowded)
+    Scheme(6 pairs over 6 data, 1 held out)
+    """
+    where = check.points(points, "points", dimension=None)
+    asked = check.points(queries, "queries", dimension=where.shape[1])
+    share = check.number(min_train, "min_train", SHARE_RULE, 0.0, strict=True)
+    if share > 1:
+        check.refuse("min_train", SHARE_RULE, check.describe(min_train))
+    n, workers = len(where), check.threads(threads)
+    most = max(0, n - 1 - max(1, math.floor(share * n + 1e-9)))
+    return _around(where, lambda: _core.neighbours_matched(where, asked, most, workers))
+
+
 def delaunay(points: ArrayLike) -> Scheme:
     """Validate each datum with its neighbours in the Delaunay triangulation held out.
 
@@ -379,6 +443,75 @@ def _around(points: Floats, search: Callable[[], tuple[Integers, Integers]]) -> 
     except ValueError as error:
         check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
     return Scheme(n, neighbourhoods, each_alone(n), _core.along_curve(points))
+
+
+def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:
+    """Local exclusion by any distance: validate each datum with all data within tau of it held out, equation (12).
+
+    Parameters
+    ----------
+    delta : (n, n) array, or callable
+        ``delta[i, j]``, or ``delta(i)[j]``: how far datum j is from datum i, in any unit; infinity is never held
+        out. It need not be symmetric. A callable gets a datum and returns its distances to all n, so that no
+        n x n matrix need exist: along a surface, over time, between images.
+    tau : float
+        Distance up to which data are held out; the datum itself always is.
+    n : int, optional
+        Number of data; needed with a callable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the distances of a datum are not n numbers, or one of them is NaN.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> hour = np.array([0.0, 8.0, 23.0])
+    >>> around_the_clock = lambda i: np.minimum(abs(hour - hour[i]), 24 - abs(hour - hour[i]))
+    >>> list(mx.schemes.from_distance(around_the_clock, tau=2, n=3).held_out)
+    [array([0, 2]), array([1]), array([0, 2])]
+    """
+    reach = check.number(tau, "tau", "It must be a number of at least 0.", 0.0)
+    if callable(delta):
+        rows, count = delta, check.count(n, "n", 1)
+    else:
+        rows, count = _matrix_rows(delta, n)
+    held: list[Integers] = []
+    total = 0
+    for i in range(count):
+        near = _distances(rows(i), i, count) <= reach
+        near[i] = True
+        held.append(np.flatnonzero(near))
+        total += len(held[-1])
+        if total > MOST_INDICES:
+            rule = f"The sets must fit in {MOST_INDICES} indices."
+            check.refuse("tau", rule, f"{tau}, with more than that for {i + 1} of {count} data")
+    return Scheme(count, compress(held), each_alone(count))
+
+
+def _matrix_rows(delta: ArrayLike, n: int | None) -> tuple[Callable[[int], ArrayLike], int]:
+    """What gives the rows of a distance matrix, and how many there are."""
+    matrix = check.real(delta, "delta")
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+        check.refuse("delta", "It must have shape (n, n), or be callable.", f"shape {matrix.shape}")
+    if n is not None and check.count(n, "n", 1) != len(matrix):
+        check.refuse("n", f"It must be the {len(matrix)} data of delta.", f"{n}")
+    return matrix.__getitem__, len(matrix)
+
+
+def _distances(row: ArrayLike, i: int, n: int) -> Floats:
+    """Distances of datum i, checked."""
+    distances = check.real(row, "delta")
+    if distances.shape != (n,):
+        check.refuse(
+            "delta", f"It must give {n} distances a datum.", f"shape {distances.shape} for datum {i}"
+        )
+    missing = np.isnan(distances)
+    if missing.any():
+        check.refuse("delta", "Distances must not be NaN.", f"that from datum {i} to {missing.argmax()}")
+    return distances
 
 
 def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -> Scheme:

@@ -102,7 +102,7 @@ class Surface:
     lifting : Lifting
         With l control points.
     parameters : array_like, (l,) or (l, d)
-        With thin-plate splines the values at the control points. A surface with (l,) has values (k,), one
+        With most liftings the values at the control points. A surface with (l,) has values (k,), one
         with (l, d) values (k, d).
     domain : array_like, (k, 2)
         Points that the surface was fitted on. Their convex hull is kept; outside it the surface extrapolates.

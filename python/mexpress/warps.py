@@ -1,4 +1,4 @@
-"""Image warps: the affine and thin-plate-spline warps and their fractional (deformable perspective) forms.
+"""Image warps: linear in a lifting, and their fractional (deformable perspective) forms.
 
 Examples
 --------
@@ -44,8 +44,9 @@ class Warp:
     lifting : Lifting
         With l control points in the source image.
     parameters : array_like, (l, 3) or (l, 2)
-        Values at the control points: of the numerators, in pixels of the target image, and of the
-        denominator, whose mean is 1 (eq. 19). A common factor of all three columns changes nothing.
+        Of the numerators, in pixels of the target image, and of the denominator, whose mean is 1 (eq. 19);
+        with most liftings the values at the control points. A common factor of all three columns changes
+        nothing.
     domain : array_like, (k, 2)
         Points of the source image that the warp was fitted on. Their convex hull is kept; outside it the
         warp extrapolates.
@@ -189,7 +190,7 @@ class Warp:
         Returns
         -------
         ndarray, (k,)
-            Without unit: its mean over the control points is 1.
+            Without unit: the mean of its parameters is 1.
 
         Examples
         --------

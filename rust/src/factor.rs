@@ -84,23 +84,52 @@ pub struct Factor {
 impl Factor {
     /// Factors and fits.
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
-        let Problem { rows, columns, .. } = *problem;
         let responses = problem.check()?;
         let scales = column_scales(problem, pool)?;
         let leaves = Leaves::factor(problem, &scales, pool)?;
         let top = Top::new(&leaves, pool)?;
-        let total = leaves.rows;
         let basis = leaves.basis(&top, pool)?;
+        let mut factor = Self::fit(problem, basis, top.rank, pool)?;
+        factor.coefficients = top.solve(&factor.projection, responses);
+        for column in factor.coefficients.chunks_exact_mut(problem.columns) {
+            column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
+        }
+        factor.least = top.least;
+        factor.tolerance = top.tolerance;
+        factor.triangle = top.triangle;
+        factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
+        Ok(factor)
+    }
+
+    /// Fits a problem without weights, of which the columns of `[A; Z]` are orthonormal already.
+    pub fn orthonormal(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+        problem.check()?;
+        let columns = problem.columns;
+        let basis = [problem.design, problem.penalty].concat();
+        let mut factor = Self::fit(problem, basis, columns, pool)?;
+        factor.coefficients.clone_from(&factor.projection);
+        factor.triangle.resize(columns * columns, 0.0);
+        factor.triangle.iter_mut().step_by(columns + 1).for_each(|diagonal| *diagonal = 1.0);
+        factor.scales.resize(columns, 1.0);
+        factor.least = 1.0;
+        factor.tolerance = factor.total_rows.max(columns) as f64 * f64::EPSILON;
+        Ok(factor)
+    }
+
+    /// What a basis tells of the responses, without coefficients.
+    fn fit(problem: &Problem<'_>, basis: Vec<f64>, rank: usize, pool: &Pool<'_>) -> Result<Self, Error> {
+        let Problem { rows, columns, .. } = *problem;
+        let responses = problem.responses.len() / rows.max(1);
         let mut factor = Self {
             rows,
             columns,
             responses,
-            rank: top.rank,
-            total_rows: total,
+            rank,
+            total_rows: rows + problem.penalty.len() / columns,
             basis,
             triangle: Vec::new(),
-            least: top.least,
-            tolerance: top.tolerance,
+            least: 0.0,
+            tolerance: 0.0,
             scales: Vec::new(),
             coefficients: Vec::new(),
             largest_response: 0.0,
@@ -116,12 +145,6 @@ impl Factor {
         let rest = factor.project(&factor.residuals, pool)?;
         factor.subtract(&rest, pool)?;
         factor.projection.iter_mut().zip(&rest).for_each(|(c, rest)| *c += rest);
-        factor.coefficients = top.solve(&factor.projection, responses);
-        for column in factor.coefficients.chunks_exact_mut(columns) {
-            column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
-        }
-        factor.triangle = top.triangle;
-        factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
         factor.leverage =
             factor.basis.chunks_exact(factor.rank.max(1)).take(rows).map(|q| dot(q, q)).collect();
         factor.leverage.resize(rows, 0.0);

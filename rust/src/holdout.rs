@@ -42,6 +42,16 @@ pub struct Pairs<'a> {
     pub order: &'a [usize],
 }
 
+impl Pairs<'_> {
+    /// Fails unless they are pairs of sets of data, and those sets of a design's rows.
+    pub(crate) fn check(&self, rows: usize) -> Result<(), Error> {
+        expect_length(self.validated.len(), self.held.len())?;
+        check_indices(self.rows, rows)?;
+        check_indices(self.held, self.rows.len())?;
+        check_indices(self.validated, self.rows.len())
+    }
+}
+
 /// What became of a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
@@ -180,22 +190,35 @@ impl Factor {
         Ok(())
     }
 
+    /// What the prediction residuals of each pair's validated rows vary by, in units of the noise of weighted rows:
+    /// `((I - H_KK)^-1)_TT`, row-major, pair after pair; NaN where the training rows lose rank.
+    pub fn spread(&self, pairs: &Pairs<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        pairs.check(self.rows)?;
+        let rows_of = |pair| pairs.validated.get(pair).iter().map(|&datum| pairs.rows.get(datum).len());
+        let sizes: Vec<usize> =
+            (0..pairs.held.len()).map(|pair| rows_of(pair).sum::<usize>().pow(2)).collect();
+        let mut blocks = vec![0.0; sizes.iter().sum()];
+        pool.run(
+            cut(&mut blocks, &sizes).into_iter().enumerate(),
+            Workspace::default,
+            |workspace, (pair, block)| {
+                workspace.gather(pairs, &[pair]);
+                workspace.spread(self, block);
+            },
+        )?;
+        Ok(blocks)
+    }
+
     /// The blocks `H_KK` of the hat matrix for sets of rows: each row-major, one after another.
     pub fn hat_blocks(&self, sets: &Sets, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         check_indices(sets, self.rows)?;
         let sizes: Vec<usize> = (0..sets.len()).map(|s| sets.get(s).len().pow(2)).collect();
         let mut blocks = vec![0.0; sizes.iter().sum()];
-        let mut rest = &mut blocks[..];
-        let mut tasks = Vec::with_capacity(sets.len());
-        for (s, size) in sizes.into_iter().enumerate() {
-            let (block, after) = rest.split_at_mut(size);
-            rest = after;
-            tasks.push((sets.get(s), block));
-        }
         pool.run(
-            tasks.into_iter(),
+            cut(&mut blocks, &sizes).into_iter().enumerate(),
             || (),
-            |(), (rows, block)| {
+            |(), (s, block)| {
+                let rows = sets.get(s);
                 let q = rows.len();
                 for (i, &row) in rows.iter().enumerate() {
                     for (j, &column) in rows.iter().enumerate().take(i + 1) {
@@ -207,6 +230,16 @@ impl Factor {
         )?;
         Ok(blocks)
     }
+}
+
+/// Parts of these sizes, one after another.
+fn cut<'a>(mut rest: &'a mut [f64], sizes: &[usize]) -> Vec<&'a mut [f64]> {
+    let part = |&size: &usize| {
+        let (part, after) = std::mem::take(&mut rest).split_at_mut(size);
+        rest = after;
+        part
+    };
+    sizes.iter().map(part).collect()
 }
 
 pub(crate) fn check_indices(sets: &Sets, bound: usize) -> Result<(), Error> {
@@ -305,6 +338,30 @@ impl Workspace {
         let Self { system, rows, validated, .. } = self;
         let inverse = if dual <= primal { Inverse::Dual(system, rows) } else { Inverse::Primal(system) };
         Suspect { inverse, least, rows, validated: *validated, out }
+    }
+
+    /// `((I - H_KK)^-1)_TT` of the pair at hand: in the dual of unit vectors, in the primal `I + Q_T M^-1 Q_T^T`.
+    fn spread(&mut self, factor: &Factor, out: &mut [f64]) {
+        let (q, t) = (self.rows.len(), self.validated);
+        let (dual, primal) = costs(q, factor.rank, false);
+        let (own, smallest) = if dual <= primal {
+            self.fill_dual(factor, None, q, t);
+            (0.0, self.system.factor())
+        } else {
+            (1.0, self.primal_factor(factor, &(0..t)))
+        };
+        if smallest <= 0.0 || factor.rank + q > factor.total_rows {
+            out.fill(f64::NAN);
+            return;
+        }
+        let first = factor.responses + PROBES;
+        for i in 0..t {
+            for j in 0..=i {
+                let sum: f64 = self.system.forward_products(first + i, first + j).sum();
+                let c = sum + if i == j { own } else { 0.0 };
+                (out[i * t + j], out[j * t + i]) = (c, c);
+            }
+        }
     }
 
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.

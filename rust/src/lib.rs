@@ -37,6 +37,7 @@
 //! | `refine` | pairs close to rank loss: the closed form corrected, several at a time |
 //! | [`refit`] | pairs that may have lost rank: the training rows reduced anew |
 //! | [`neighbours`], [`delaunay`] | which data are near which |
+//! | [`matching`] | how many near data to hold out, so that predictions reach as far as the use wants |
 //! | [`curve`] | an order in which successive data are near each other |
 //! | [`placement`] | Lloyd's algorithm for control points |
 //! | [`arrival`] | control points that arrive where residuals are largest |
@@ -91,6 +92,7 @@ pub mod factor;
 pub mod gram;
 pub mod holdout;
 pub mod linalg;
+pub mod matching;
 pub mod neighbours;
 pub mod nested;
 pub mod placement;

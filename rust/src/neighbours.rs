@@ -64,9 +64,10 @@ pub fn nearest(points: &[f64], dimension: usize, k: usize, pool: &Pool) -> Resul
     if k > n {
         return Err(Error::Index { index: k, bound: n + 1 });
     }
+    let sizes = vec![k; n];
     match dimension {
-        1 | 2 => all_nearest::<2>(&scaled(points, dimension, scale), k, pool),
-        _ => all_nearest::<3>(&scaled(points, dimension, scale), k, pool),
+        1 | 2 => all_nearest::<2>(&scaled(points, dimension, scale), &sizes, pool),
+        _ => all_nearest::<3>(&scaled(points, dimension, scale), &sizes, pool),
     }
 }
 
@@ -119,10 +120,10 @@ pub(crate) fn places<const N: usize>(points: &[[f64; N]]) -> (Vec<[f64; N]>, Set
     (distinct, Sets { offsets, items })
 }
 
-type Place<const N: usize> = GeomWithData<[f64; N], usize>;
-type Tree<const N: usize> = RTree<Place<N>>;
+pub(crate) type Place<const N: usize> = GeomWithData<[f64; N], usize>;
+pub(crate) type Tree<const N: usize> = RTree<Place<N>>;
 
-fn tree<const N: usize>(points: &[[f64; N]]) -> Tree<N>
+pub(crate) fn tree<const N: usize>(points: &[[f64; N]]) -> Tree<N>
 where
     [f64; N]: Point<Scalar = f64>,
 {
@@ -265,9 +266,7 @@ where
             }
             Reach::Nearest(k, members) => {
                 out.resize(*k, 0);
-                let (found, pending) = (Vec::new(), Vec::new());
-                let mut search = Search { tree: &self.tree, members, k: *k, found, pending };
-                search.nearest(i, &self.points[i], out);
+                Search::new(&self.tree, members).nearest(i, &self.points[i], out);
             }
         }
     }
@@ -284,33 +283,53 @@ fn joined(parts: Vec<Sets>) -> Sets {
     Sets { offsets, items }
 }
 
-fn all_nearest<const N: usize>(points: &[[f64; N]], k: usize, pool: &Pool) -> Result<Sets, Error>
+/// For every point as many of the nearest as asked for, itself counted, sorted by index.
+pub(crate) fn all_nearest<const N: usize>(
+    points: &[[f64; N]],
+    sizes: &[usize],
+    pool: &Pool,
+) -> Result<Sets, Error>
 where
     [f64; N]: Point<Scalar = f64>,
 {
     // A tree of places, not of points: a query would visit every point that coincides with its own.
     let (distinct, members) = places(points);
     let tree = tree(&distinct);
-    if points.len().saturating_mul(k) > MOST_MEMBERS {
+    let total = sizes.iter().fold(0, |total: usize, &k| total.saturating_add(k));
+    if total > MOST_MEMBERS {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
-    let mut items = vec![0; points.len() * k];
-    let workspace = || Search { tree: &tree, members: &members, k, found: Vec::new(), pending: Vec::new() };
+    let mut items = vec![0; total];
+    let mut rest = &mut items[..];
+    let mut rows: Vec<Option<&mut [usize]>> = Vec::with_capacity(points.len());
+    for &k in sizes {
+        let (row, after) = rest.split_at_mut(k);
+        rest = after;
+        rows.push(Some(row));
+    }
     // In the order of places, so that successive searches visit the same part of the tree.
-    let mut rows: Vec<Option<&mut [usize]>> = items.chunks_exact_mut(k).map(Some).collect();
     let mut ordered: Vec<(usize, &mut [usize])> =
         members.items.iter().filter_map(|&i| rows[i].take().map(|row| (i, row))).collect();
-    pool.run(ordered.chunks_mut(CHUNK), workspace, |search, chunk| {
-        for (i, row) in chunk {
-            search.nearest(*i, &points[*i], row);
-            row.sort_unstable();
-        }
-    })?;
-    Ok(Sets { offsets: (0..=points.len()).map(|i| i * k).collect(), items })
+    pool.run(
+        ordered.chunks_mut(CHUNK),
+        || Search::new(&tree, &members),
+        |search, chunk| {
+            for (i, row) in chunk {
+                search.nearest(*i, &points[*i], row);
+                row.sort_unstable();
+            }
+        },
+    )?;
+    let mut offsets = vec![0];
+    offsets.extend(sizes.iter().scan(0, |end, k| {
+        *end += k;
+        Some(*end)
+    }));
+    Ok(Sets { offsets, items })
 }
 
 /// Depth first, the nearer branches first. The tree's own iterator takes twice the time, and keeps all ties.
-struct Search<'a, const N: usize>
+pub(crate) struct Search<'a, const N: usize>
 where
     [f64; N]: Point<Scalar = f64>,
 {
@@ -326,7 +345,25 @@ impl<'a, const N: usize> Search<'a, N>
 where
     [f64; N]: Point<Scalar = f64>,
 {
-    fn nearest(&mut self, i: usize, point: &[f64; N], row: &mut [usize]) {
+    /// In a tree of places with these members.
+    pub(crate) fn new(tree: &'a Tree<N>, members: &'a Sets) -> Self {
+        Self { tree, members, k: 0, found: Vec::new(), pending: Vec::new() }
+    }
+
+    /// Fills the row with the nearest of point `i`, itself one of them, in no order.
+    pub(crate) fn nearest(&mut self, i: usize, point: &[f64; N], row: &mut [usize]) {
+        let k = row.len();
+        for (to, &mut (_, j)) in row.iter_mut().zip(self.find(point, k)) {
+            *to = j;
+        }
+        if !row.contains(&i) {
+            row[k - 1] = i;
+        }
+    }
+
+    /// The `k` nearest of a place, as squared distances (bits of them) and indices, in no order.
+    pub(crate) fn find(&mut self, point: &[f64; N], k: usize) -> &mut [(u64, usize)] {
+        self.k = k;
         self.found.clear();
         self.pending.push((0.0, self.tree.root()));
         let mut bound = f64::INFINITY;
@@ -336,12 +373,7 @@ where
             }
         }
         self.keep_nearest();
-        for (to, &(_, j)) in row.iter_mut().zip(&self.found) {
-            *to = j;
-        }
-        if !row.contains(&i) {
-            row[self.k - 1] = i;
-        }
+        &mut self.found
     }
 
     fn open(&mut self, node: &'a ParentNode<Place<N>>, point: &[f64; N], bound: &mut f64) {

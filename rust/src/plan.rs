@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::factor::{Factor, expect_length};
+use crate::factor::Factor;
 use crate::holdout::{Pairs, Status, check_indices};
 use crate::linalg;
 use crate::pool::Pool;
@@ -61,10 +61,7 @@ pub(crate) fn costs(q: usize, rank: usize, hat: bool) -> (f64, f64) {
 impl Plan {
     pub fn new(factor: &Factor, pairs: &Pairs<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let count = pairs.held.len();
-        expect_length(pairs.validated.len(), count)?;
-        check_indices(pairs.rows, factor.rows)?;
-        check_indices(pairs.held, pairs.rows.len())?;
-        check_indices(pairs.validated, pairs.rows.len())?;
+        pairs.check(factor.rows)?;
         let rows =
             |sets: &Sets, s: usize| sets.get(s).iter().map(|&d| pairs.rows.get(d).len()).sum::<usize>();
         let held: Vec<usize> = (0..count).map(|s| rows(pairs.held, s)).collect();

@@ -15,7 +15,7 @@ use crate::factor::Problem;
 use crate::holdout::{Pairs, Status};
 use crate::pool::Pool;
 use crate::scheme::Sets;
-use crate::{curve, delaunay, neighbours, nested, placement};
+use crate::{curve, delaunay, matching, neighbours, nested, placement};
 
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Array2<'py, T> = Bound<'py, PyArray2<T>>;
@@ -163,6 +163,22 @@ impl<'py> Held<'py> {
     }
 }
 
+impl Factor {
+    fn build<'py>(
+        py: Python<'py>,
+        arrays: Kept,
+        threads: usize,
+        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<crate::factor::Factor, Error> + Send + Sync,
+    ) -> PyResult<Self> {
+        let held = arrays.borrow(py)?;
+        let problem = held.problem()?;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| make(&problem, pool))?;
+        Ok(Self { fit, arrays })
+    }
+}
+
 #[pymethods]
 impl Factor {
     #[new]
@@ -180,12 +196,21 @@ impl Factor {
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
         };
-        let held = arrays.borrow(py)?;
-        let problem = held.problem()?;
-        let size = problem.design.len() + problem.penalty.len();
-        let cost = 2.0 * (size * problem.columns) as f64;
-        let fit = interruptible(py, cost, threads, |pool| crate::factor::Factor::new(&problem, pool))?;
-        Ok(Self { fit, arrays })
+        Self::build(py, arrays, threads, crate::factor::Factor::new)
+    }
+
+    /// Of a design and penalty rows that have orthonormal columns together.
+    #[staticmethod]
+    fn orthonormal<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        penalty: Array2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
+        let arrays = Kept { design, responses, root_weights: None, penalty };
+        Self::build(py, arrays, threads, crate::factor::Factor::orthonormal)
     }
 
     #[getter]
@@ -237,6 +262,22 @@ impl Factor {
             indices(py, &found.offsets),
             indices(py, &lost.collect::<Vec<_>>()),
         ))
+    }
+
+    /// The covariances of the prediction residuals of pairs, flattened one after another.
+    fn spread<'py>(
+        &self,
+        py: Python<'py>,
+        held: ReadSets<'py>,
+        validated: ReadSets<'py>,
+        rows: ReadSets<'py>,
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
     }
 
     /// The blocks of the hat matrix for sets of rows, flattened one after another.
@@ -454,6 +495,23 @@ fn neighbours_nearest<'py>(
     Ok(arrays(py, &found))
 }
 
+/// Neighbourhoods that leave every point as far from its nearest as queries are from theirs, as (offsets, items).
+#[pyfunction]
+fn neighbours_matched<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    queries: PyReadonlyArray2<'py, f64>,
+    most: usize,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let (points, queries) = (matrix(&points)?, matrix(&queries)?);
+    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        matching::matched(points, queries, dimension, most, pool)
+    })?;
+    Ok(arrays(py, &found))
+}
+
 /// Each point with its neighbours in the Delaunay triangulation, as (offsets, items).
 #[pyfunction]
 fn neighbours_delaunay<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Arrays<'py>> {
@@ -520,6 +578,6 @@ mod _core {
     #[pymodule_export]
     use super::{
         Around, Factor, Nested, along_curve, arrival, find_not_finite, lloyd, neighbours_delaunay,
-        neighbours_nearest, neighbours_within, spread,
+        neighbours_matched, neighbours_nearest, neighbours_within, spread,
     };
 }

@@ -53,7 +53,7 @@ def add_selection(parser: Parser) -> None:
     add(
         "--criterion",
         default="ER10",
-        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, ... (default: ER10)",
+        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, MATCHED, ... (default: ER10)",
     )
     add("--criteria", type=_names, metavar="A,B,...", help="also shown (default: FIT,PRESS,CMPRESS)")
     add(

@@ -12,8 +12,9 @@ array([[0. , 0.5, 0.5]])
 
 from mexpress.liftings.affine import PiecewiseAffine
 from mexpress.liftings.bspline import BSpline
-from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, make_lifting, register
+from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, lifting_named, make_lifting, register
 from mexpress.liftings.nested import nested_basis, nested_bending
+from mexpress.liftings.sparse import SparseLifting
 from mexpress.liftings.tps import ThinPlateSpline
 
 __all__ = [
@@ -21,8 +22,10 @@ __all__ = [
     "BSpline",
     "Lifting",
     "PiecewiseAffine",
+    "SparseLifting",
     "ThinPlateSpline",
     "check_lifting",
+    "lifting_named",
     "make_lifting",
     "nested_basis",
     "nested_bending",

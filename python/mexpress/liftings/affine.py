@@ -108,7 +108,15 @@ class PiecewiseAffine(SparseLifting):
         corners = covered_region(points)
         return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
 
-    def _entries(self, points: Floats, along: int | None = None) -> Entries:
+    def entries(self, points: Floats, along: int | None = None) -> Entries:
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1).
+
+        Examples
+        --------
+        >>> plane = PiecewiseAffine([[0, 0], [2, 0], [0, 2]])
+        >>> sum(float(elements[0]) for _, _, elements in plane.entries(np.array([[1.0, 0.5]]))).__round__(6)
+        1.0
+        """
         mesh = self._mesh
         triangle = mesh.locate(points)
         inside, outside = np.flatnonzero(triangle >= 0), np.flatnonzero(triangle < 0)

@@ -130,7 +130,15 @@ class BSpline(SparseLifting):
         """
         return grid(points, count, ring=1)
 
-    def _entries(self, points: Floats, along: int | None = None) -> Entries:
+    def entries(self, points: Floats, along: int | None = None) -> Entries:
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1).
+
+        Examples
+        --------
+        >>> spline = BSpline(BSpline.place([[0, 0], [3, 0], [3, 2], [0, 2]], 16))
+        >>> sum(float(elements[0]) for _, _, elements in spline.entries(np.array([[1.0, 0.5]]))).__round__(6)
+        1.0
+        """
         *axes, order = self._grid
         (column, across), (row, up) = (
             _nonzero(axis, points[:, b], b == along) for b, axis in enumerate(axes)

@@ -14,7 +14,16 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.placement import COINCIDENT, NEAR_LINE, covered_region, lloyd, thinness
 
-__all__ = ["LIFTINGS", "Lifting", "blocks", "check_lifting", "check_spread", "make_lifting", "register"]
+__all__ = [
+    "LIFTINGS",
+    "Lifting",
+    "blocks",
+    "check_lifting",
+    "check_spread",
+    "lifting_named",
+    "make_lifting",
+    "register",
+]
 
 _CHUNK = 1 << 14
 """Numbers in one block of a temporary array, 128 KiB: blocks that stay in cache are also the fastest."""
@@ -278,6 +287,25 @@ def register(lifting: Class) -> Class:
     return lifting
 
 
+def lifting_named(name: str) -> type[Lifting]:
+    """Return the lifting of a name.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+
+    Examples
+    --------
+    >>> lifting_named("tps").name
+    'tps'
+    """
+    if not isinstance(name, str) or name not in LIFTINGS:
+        rule = f"It must be one of {', '.join(LIFTINGS)}, or of a class that `register` has entered."
+        check.refuse("lifting", rule, check.describe(name))
+    return LIFTINGS[name]
+
+
 def make_lifting(name: str, control_points: ArrayLike) -> Lifting:
     """Return the lifting of a name over control points, (l, 2).
 
@@ -291,10 +319,7 @@ def make_lifting(name: str, control_points: ArrayLike) -> Lifting:
     >>> make_lifting("tps", [[0, 0], [1, 0], [0, 1]])
     ThinPlateSpline(3 control points)
     """
-    if not isinstance(name, str) or name not in LIFTINGS:
-        rule = f"It must be one of {', '.join(LIFTINGS)}, or of a class that `register` has entered."
-        check.refuse("lifting", rule, check.describe(name))
-    return LIFTINGS[name](check.points(control_points, "control_points"))
+    return lifting_named(name)(check.points(control_points, "control_points"))
 
 
 def check_lifting(value: object) -> None:

@@ -14,7 +14,7 @@ from mexpress.liftings.lifting import Lifting, blocks
 __all__ = ["Entries", "SparseLifting"]
 
 Entries: TypeAlias = Iterator[tuple[slice | NDArray[np.intp], NDArray[np.intp], Floats]]
-"""Some rows, each once; a function for each of them; and what is added to its element."""
+"""What `SparseLifting.entries` returns."""
 
 
 class SparseLifting(Lifting):
@@ -28,8 +28,28 @@ class SparseLifting(Lifting):
     """
 
     @abstractmethod
-    def _entries(self, points: Floats, along: int | None = None) -> Entries:
-        """Return the elements of the basis at n points, or of its derivative along x (0) or y (1)."""
+    def entries(self, points: Floats, along: int | None = None) -> Entries:
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1).
+
+        Parameters
+        ----------
+        points : ndarray, (n, 2)
+            Positions, in the unit of the control points.
+        along : int, optional
+            Which derivative, if any.
+
+        Returns
+        -------
+        iterator of (rows, functions, elements)
+            Some of the points, each once; a function for each of them; what its element of the basis gains.
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> plane = PiecewiseAffine([[0, 0], [2, 0], [0, 2]])
+        >>> [(int(k[0]), float(e[0])) for _, k, e in plane.entries(np.array([[1.0, 0.5]]))]
+        [(0, 0.25), (1, 0.5), (2, 0.25)]
+        """
 
     def basis(self, points: ArrayLike) -> Floats:
         """Return the l functions at n points, (n, l).
@@ -83,7 +103,7 @@ class SparseLifting(Lifting):
     def _dense(self, points: Floats, along: int | None = None) -> Floats:
         matrix = np.zeros((len(points), len(self.control_points)))
         numbers = np.arange(len(points))
-        for rows, functions, elements in self._entries(points, along):
+        for rows, functions, elements in self.entries(points, along):
             matrix[numbers[rows], functions] += elements
         return matrix
 
@@ -92,6 +112,6 @@ class SparseLifting(Lifting):
         product = np.zeros((len(points), parameters.shape[1]))
         for block in blocks(len(points), 4):
             here = product[block]
-            for rows, functions, elements in self._entries(points[block], along):
+            for rows, functions, elements in self.entries(points[block], along):
                 here[rows] += elements[:, None] * parameters[functions]
         return product

@@ -15,7 +15,7 @@ __all__ = ["Indices", "Triangulation"]
 Indices: TypeAlias = NDArray[np.intp]
 
 _SAME_DIRECTION = 1e-9
-"""Angle in radians below which two neighbours of a point are in the same direction from it."""
+"""Angle below which two neighbours of a point are in the same direction from it."""
 
 _NEXT = np.array([1, 2, 0])
 
@@ -157,12 +157,17 @@ def _turns(points: Floats) -> tuple[Indices, Indices, Indices]:
 
     Where points are on a straight part of the hull but for rounding, the hull's edges may skip some of them.
     Such an edge has the direction of a shorter one, and is left out: the triangle between them is nothing.
+    Angles are those in coordinates where the points spread as far along x as along y, which no order changes
+    and which a thin strip needs.
     """
+    about = points - points.mean(axis=0)
+    about = about / np.abs(about).max()
+    white = np.linalg.solve(np.linalg.cholesky(about.T @ about), about.T).T
     offsets, members = _core.neighbours_delaunay(points)
     here = np.repeat(np.arange(len(points)), np.diff(offsets))
     here, there = here[members != here], members[members != here]
     while True:
-        offset = points[there] - points[here]
+        offset = white[there] - white[here]
         angle = np.arctan2(offset[:, 1], offset[:, 0])
         order = np.lexsort((angle, here))
         here, there, angle, offset = here[order], there[order], angle[order], offset[order]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mexpress._validation import Floats, Integers
-from mexpress.criteria import Criterion, parse
+from mexpress.criteria import UNITLESS, Criterion, parse
 from mexpress.plotting.figures import (
     BLUE,
     GRAY,
@@ -21,7 +21,6 @@ from mexpress.plotting.figures import (
     saved,
     with_unit,
 )
-from mexpress.reports import UNITLESS
 from mexpress.selection import Selection, WarpSelection
 
 if TYPE_CHECKING:
@@ -37,6 +36,7 @@ _HUES: dict[str, tuple[tuple[str, ...], str]] = {
     "ER": ((ORANGE, RED, "#7A2E00"), "-"),
     "NN": (("#5CBF9F", GREEN, "#004D38"), "--"),
     "DELAUNAY": (("#8C6D1F",), "--"),
+    "MATCHED": (("#B3003B",), "-."),
     "KF": (("#E3B5CF", "#CC79A7", "#7B3F63"), "-."),
     "LPO": (("#B9A5DB", "#5B3A9B", "#341F61"), "-."),
     "RS": (("#B9A5DB", "#5B3A9B", "#341F61"), ":"),

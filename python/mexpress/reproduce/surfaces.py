@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from mexpress import plotting, reports
+from mexpress import criteria, plotting, reports
 from mexpress._validation import Floats
-from mexpress.designs import fit_surface
+from mexpress.fitting import fit_surface
 from mexpress.liftings import nested_basis
 from mexpress.reproduce.experiment import Experiment, Options, Outcome
 from mexpress.reproduce.subjects import Subject, read_subject, simulated_depth, simulated_embedding
@@ -138,7 +138,7 @@ class _Sweep:
         """The criteria with the truth beside them, if it is known."""
         if np.isnan(self.truth).all():
             return self.selection
-        return replace(self.selection, curves={**self.selection.curves, TRUTH: self.truth})
+        return replace(self.selection, maps={**self.selection.maps, TRUTH: self.truth})
 
     def at(self, count: int) -> tuple[float, float]:
         """FIT and true error."""
@@ -291,7 +291,7 @@ def _line(sweep: _Sweep, name: str, count: int | None, known: bool) -> str:
         return f"{name:>10}{'-':>8}  undefined at every number"
     fit, truth = sweep.at(count)
     score = sweep.shown.curves[name][count - sweep.selection.counts[0]]
-    own = "" if name in reports.UNITLESS else f"{score:.4g}"
+    own = "" if name in criteria.UNITLESS else f"{score:.4g}"
     return f"{name:>10}{count:8}{own:>11}{fit:10.4g}" + (f"{truth:11.4g}" if known else "")
 
 

@@ -1,0 +1,225 @@
+"""What a sweep over models says, and which model each criterion chooses.
+
+Examples
+--------
+See `Selection`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.criteria import UNITLESS
+from mexpress.sweeps import Model, Sweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Selection", "of_sweep"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Selection:
+    """Criteria against the number of control points and the weight of the bending energy, and what they choose.
+
+    Parameters
+    ----------
+    criterion : str
+        The criterion that selects.
+    counts : (k,) int64 array
+        Numbers of control points that were tried, increasing.
+    maps : dict of str to (k, w) array
+        Every criterion's score of every count and weight, in the responses' unit (AIC and BIC have none); NaN
+        where undefined. (k,) arrays are taken as (k, 1).
+    undefined : dict of str to dict of int to int64 array
+        By criterion and count, the data whose prediction lacks the rank at every weight, the largest one's; counts
+        without any are left out.
+    weights : (w,) array, optional
+        Weights of the bending energy that were tried, increasing; 0 alone if not given.
+    parameters : (k, w) array, optional
+        Effective numbers of parameters, trace(H); NaN where a model is not determined.
+    open : dict of int to int, optional
+        By count, how many unknowns the data leave open, so that only the bending energy determines them; counts
+        without any are left out.
+    slack : float, default 0
+        Scores within this fraction of the smallest count as equal to it, and the model with the fewest effective
+        parameters is chosen among them.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> import numpy as np
+    >>> maps = {"FIT": np.array([3.0, 2.0, 1.0]), "ER10": np.array([4.0, 3.5, np.nan])}
+    >>> selection = mx.Selection("ER10", np.array([3, 4, 5]), maps, {"ER10": {5: np.array([17])}})
+    >>> selection
+    Selection(ER10 chooses 4 of 3 to 5 control points, ER10=3.5)
+    >>> selection.selected
+    {'FIT': 5, 'ER10': 4}
+    """
+
+    criterion: str
+    counts: Integers
+    maps: dict[str, Floats]
+    undefined: dict[str, dict[int, Integers]]
+    weights: Floats = field(kw_only=True, default_factory=lambda: np.zeros(1))
+    parameters: Floats | None = field(kw_only=True, default=None)
+    open: dict[int, int] = field(kw_only=True, default_factory=dict)
+    slack: float = field(kw_only=True, default=0.0)
+
+    def __post_init__(self) -> None:
+        shape = len(self.counts), len(self.weights)
+        object.__setattr__(self, "maps", {name: np.reshape(m, shape) for name, m in self.maps.items()})
+
+    def __repr__(self) -> str:
+        tried = f"{self.counts[0]} to {self.counts[-1]} control points"
+        chosen = f"{self.criterion} chooses {self.count} of {tried}"
+        if len(self.weights) > 1:
+            tried = f"{self.weights[0]:.3g} to {self.weights[-1]:.3g}"
+            chosen += f" and smoothing {self.smoothing:.3g} of {tried}"
+        return f"{type(self).__name__}({chosen}, {self.criterion}={self.score:.4g})"
+
+    @property
+    def curves(self) -> dict[str, Floats]:
+        """Every criterion's score of every count, (k,), at the weight that is best for the count; NaN where undefined.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> maps = {"GCV": np.array([[4.0, 3.5], [3.0, 5.0]])}
+        >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).curves
+        {'GCV': array([3.5, 3. ])}
+        """
+        return {name: np.fmin.reduce(scores, axis=1) for name, scores in self.maps.items()}
+
+    @property
+    def selected(self) -> dict[str, int | None]:
+        """How many control points each criterion would choose: those of its smallest score; None if it has no score.
+
+        Examples
+        --------
+        See `Selection`.
+        """
+        places = {name: self._place(name) for name in self.maps}
+        return {name: None if at is None else int(self.counts[at[0]]) for name, at in places.items()}
+
+    @property
+    def selected_smoothing(self) -> dict[str, float | None]:
+        """The weight of the bending energy that each criterion would choose; None if it has no score.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> maps = {"GCV": np.array([[4.0, 3.5], [3.0, 5.0]]), "FIT": np.array([[2.0, 3.0], [1.0, 2.0]])}
+        >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).selected_smoothing
+        {'GCV': 0.0, 'FIT': 0.0}
+        """
+        places = {name: self._place(name) for name in self.maps}
+        return {name: None if at is None else float(self.weights[at[1]]) for name, at in places.items()}
+
+    @property
+    def count(self) -> int:
+        """The selected number of control points."""
+        return int(self.counts[self.place[0]])
+
+    @property
+    def smoothing(self) -> float:
+        """The selected weight of the bending energy."""
+        return float(self.weights[self.place[1]])
+
+    @property
+    def score(self) -> float:
+        """The criterion's score of the selected model."""
+        return float(self.maps[self.criterion][self.place])
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Positions of the selected count among the counts, and of the selected weight among the weights."""
+        chosen = self._place(self.criterion)
+        if chosen is None:
+            rule = (
+                "It must have a score at one count at least; more data, fewer of them held out, or smoothing "
+                "above 0 may help."
+            )
+            check.refuse(
+                "criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on"
+            )
+        return chosen
+
+    def _place(self, name: str) -> tuple[int, int] | None:
+        """Position of the count and the weight that a criterion chooses."""
+        scores = self.maps[name]
+        if np.isnan(scores).all():
+            return None
+        best = int(np.nanargmin(scores))
+        if self.slack and self.parameters is not None and name not in UNITLESS:
+            near = scores <= (1 + self.slack) * scores.flat[best]
+            best = int(np.where(near, self.parameters, np.inf).argmin())
+        k, w = np.unravel_index(best, scores.shape)
+        return int(k), int(w)
+
+    def best_weight(self, k: int) -> int | None:
+        """Position of the weight that the criterion prefers at the k-th count; None if it has no score there.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> maps = {"GCV": np.array([[4.0, 3.5], [3.0, 5.0]])}
+        >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).best_weight(0)
+        1
+        """
+        if k == self.place[0]:
+            return self.place[1]
+        scores = self.maps[self.criterion][k]
+        return None if np.isnan(scores).all() else int(np.nanargmin(scores))
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the criteria against the number of control points, and the weight if there are several (extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            Where to save the figure; its ending says the format.
+        """
+        from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
+
+        return plot_selection(self, path)
+
+
+def of_sweep(criterion: str, sweep: Sweep[Model], slack: float) -> Selection:
+    """Return what a sweep says.
+
+    Examples
+    --------
+    See `mexpress.select_warp`.
+    """
+    maps = {
+        name: np.array([[score.value for score in row] for row in rows])
+        for name, rows in sweep.scores.items()
+    }
+    undefined: dict[str, dict[int, Integers]] = {}
+    for name, rows in sweep.scores.items():
+        for count, row in zip(sweep.counts.tolist(), rows, strict=True):
+            if row[-1].undefined.size and all(math.isnan(score.value) for score in row):
+                undefined.setdefault(name, {})[count] = row[-1].undefined
+    short = sweep.unknowns - sweep.ranks
+    open_ = {int(count): int(lack) for count, lack in zip(sweep.counts, short, strict=True) if lack > 0}
+    return Selection(
+        criterion,
+        sweep.counts,
+        maps,
+        undefined,
+        weights=sweep.weights,
+        parameters=sweep.parameters,
+        open=open_ if sweep.weights[-1] > 0 else {},
+        slack=slack,
+    )

@@ -1,0 +1,114 @@
+"""One penalised design at every weight of its penalty, for little more than the price of one.
+
+With ``[A; sqrt(v) Z] = [Q_A; Q_Z] R`` for some weight v, and ``Q_A = U C V^T`` its singular value decomposition,
+the columns of ``Q_Z V`` are orthogonal, of lengths S, and ``C^2 + S^2 = I``. At any weight w the design's part of the
+orthonormal basis of ``[A; sqrt(w) Z]`` is then, but for a rotation that hat matrices do not feel, ``U D`` with
+
+    D = C (C^2 + (w / v) S^2)^(-1/2)
+
+Examples
+--------
+>>> import mexpress as mx
+>>> import numpy as np
+>>> x = np.linspace(0, 1, 9)
+>>> A, Z = np.vander(x, 4), np.eye(2, 4)
+>>> at = Spectrum(A, np.sin(5 * x), 1, Z).at(0.3)
+>>> direct = mx.LeastSquares(A, np.sin(5 * x), penalty=np.sqrt(0.3) * Z)
+>>> bool(np.allclose(at.coefficients, direct.coefficients))
+True
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mexpress._validation import Floats
+from mexpress.leastsquares import LeastSquares
+
+__all__ = ["Fitted", "Spectrum"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fitted:
+    """A fit, and the coefficients of its design; None if they are not determined.
+
+    The fit may have coordinates of its own: its residuals, leverages and whatever is cross-validated are the design's.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> Fitted.plain(mx.LeastSquares([[1.0, 1.0]], [2.0])).coefficients is None
+    True
+    """
+
+    model: LeastSquares
+    coefficients: Floats | None
+
+    @classmethod
+    def plain(cls, model: LeastSquares) -> "Fitted":
+        """Take a fit of the design as it is.
+
+        Examples
+        --------
+        See the class.
+        """
+        return cls(model, model.coefficients if model.rank == len(model.coefficients) else None)
+
+
+class Spectrum:
+    """A least-squares problem that is factorised for all weights of its penalty.
+
+    Parameters
+    ----------
+    A : (m, p) array
+        Design matrix.
+    b : (m,) or (m, r) array
+        Responses.
+    coupling : int
+        Rows of A per datum.
+    Z : (k, p) array
+        Penalty rows.
+
+    Attributes
+    ----------
+    determined : bool
+        Whether A and Z together determine the coefficients.
+    rank : int
+        Rank of A alone, as rounding of the common factorisation lets it be seen.
+
+    Examples
+    --------
+    See the module.
+    """
+
+    def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats) -> None:
+        m, p = A.shape
+        self._problem = A, b, coupling, Z
+        size = np.linalg.norm(Z)
+        self._unit = float(np.linalg.norm(A) / size) if size else 1.0
+        basis, triangle = np.linalg.qr(np.vstack([A, self._unit * Z]))
+        rounding = (m + p) * np.finfo(float).eps
+        small = np.abs(np.diagonal(triangle)) <= rounding * np.linalg.norm(triangle, axis=0)
+        self.determined = len(triangle) == p and not small.any()
+        # Directions that A does not see have coefficient zero at any weight, and are left out.
+        self._left, self._cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
+        self._sines = np.linalg.norm(basis[m:] @ right.T, axis=0)
+        self._back = np.linalg.solve(triangle, right.T) if self.determined else right.T
+        self.rank = int((self._cosines > rounding).sum())
+
+    def at(self, weight: float, threads: int | None = None) -> Fitted:
+        """Return the fit at a weight above zero.
+
+        Examples
+        --------
+        See the module.
+        """
+        A, b, coupling, Z = self._problem
+        if not self.determined:
+            return Fitted.plain(LeastSquares(A, b, coupling, penalty=np.sqrt(weight) * Z, threads=threads))
+        sines = np.sqrt(weight) / self._unit * self._sines
+        lengths = np.hypot(self._cosines, sines)
+        lengths[lengths == 0] = 1.0
+        basis, rest = self._left * (self._cosines / lengths), np.diag(sines / lengths)
+        model = LeastSquares.orthonormal(basis, b, coupling, rest, threads)
+        return Fitted(model, np.asarray((self._back / lengths) @ model.coefficients))
