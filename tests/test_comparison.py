@@ -142,23 +142,24 @@ def test_a_surface_is_the_same_whatever_the_data():
     assert len(samples[2].points) < len(samples[0].points)
 
 
-def test_a_loss_is_that_of_the_refitted_surfaces(monkeypatch):
+def refit_error(data, control_points, smoothing):
+    surface = mx.fit_surface(data.points, data.values, control_points, smoothing=smoothing)
+    return np.sqrt(((surface(data.grid) - data.truth) ** 2).mean())
+
+
+@pytest.mark.parametrize("family", ["count", "weight"])
+def test_a_loss_is_that_of_the_refitted_surfaces(family, monkeypatch):
     monkeypatch.setattr(compare_criteria, "LARGEST", 15)
     data = fields.sample("clustered", 1)
-    found = compare_criteria.losses("clustered", 1, ["CMPRESS", "BIC"])
-    selection = mx.select_surface(data.points, data.values, "BIC", ["CMPRESS"], max_count=15)
-    errors = {
-        int(count): np.sqrt(
-            (
-                (
-                    mx.fit_surface(data.points, data.values, selection.control_points[:count])(data.grid)
-                    - data.truth
-                )
-                ** 2
-            ).mean()
-        )
-        for count in selection.counts
-    }
+    found = compare_criteria.losses("clustered", family, 1, ["CMPRESS", "BIC"])
+    smoothing = {"count": 0.0, "weight": "auto"}[family]
+    selection = mx.select_surface(
+        data.points, data.values, "BIC", ["CMPRESS"], max_count=15, smoothing=smoothing
+    )
+    models = [(int(count), float(weight)) for count in selection.counts for weight in selection.weights]
+    errors = {model: refit_error(data, selection.control_points[: model[0]], model[1]) for model in models}
+    assert found[compare_criteria.BEST][0] == pytest.approx(min(errors.values()), rel=1e-9)
     for name in ("CMPRESS", "BIC"):
-        loss = 100 * (errors[selection.selected[name]] / min(errors.values()) - 1)
+        chosen = selection.selected[name], selection.selected_smoothing[name]
+        loss = 100 * (errors[chosen] / min(errors.values()) - 1)
         assert found[name][0] == pytest.approx(loss, abs=1e-6)
