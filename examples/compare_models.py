@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from comparison import problems
-from comparison.methods import SURFACES, WARPS, error
+from comparison.methods import SURFACES, WARPS, error, methods
 from comparison.records import Records
 from matplotlib.figure import Figure
 
@@ -28,7 +28,6 @@ import mexpress as mx
 
 DRAWS, FEW = 24, 4
 OURS = "mexpress tps auto"
-METHODS = WARPS | SURFACES
 CLOSE, FAR = 1.03, 10.0
 """Times the best's error: what counts as equal, and where the plot ends."""
 
@@ -55,7 +54,7 @@ def judge(data, row, draw, names):
     found = {}
     for name in names:
         start = time.perf_counter()
-        found[name] = error(problem, METHODS[name]), time.perf_counter() - start
+        found[name] = error(problem, methods(problem)[name]), time.perf_counter() - start
     return found
 
 
@@ -69,9 +68,9 @@ def compute(options, records, tables, draws):
     wanted = [
         (options.data, row, draw, names)
         for draw in range(draws)
-        for rows, methods in tables
+        for rows, shown in tables
         for row in rows
-        if (names := [name for name in methods if options.again or not records.has(row, draw, name)])
+        if (names := [name for name in shown if options.again or not records.has(row, draw, name)])
     ]
     print(f"{len(wanted)} draws to compute", file=sys.stderr)
 
@@ -167,7 +166,7 @@ def run(options):
         if rows and methods:
             tables.append((rows, methods))
     if not tables:
-        sys.exit(f"No row and method have such names; methods are {', '.join(METHODS)}.")
+        sys.exit(f"No row and method have such names; methods are {', '.join(LOOKS)}.")
     draws = FEW if options.quick else DRAWS
     compute(options, records, tables, draws)
     lines = []

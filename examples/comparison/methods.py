@@ -110,6 +110,11 @@ SURFACES |= {
 }
 
 
+def methods(problem):
+    """Return the methods that apply to a problem, by name: a warp and a surface may share one."""
+    return WARPS if problem.target.ndim == 2 else SURFACES
+
+
 def error(problem, method):
     """Return a method's root mean square error at the test points, the norm where values are vectors."""
     apart = method(problem) - problem.test_target
