@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from comparison import problems
-from comparison.methods import SURFACES, WARPS, error, methods
+from comparison.methods import SURFACES, WARPS, applicable, error
 from comparison.records import Records
 from matplotlib.figure import Figure
 
@@ -54,7 +54,7 @@ def judge(data, row, draw, names):
     found = {}
     for name in names:
         start = time.perf_counter()
-        found[name] = error(problem, methods(problem)[name]), time.perf_counter() - start
+        found[name] = error(problem, applicable(problem)[name]), time.perf_counter() - start
     return found
 
 
@@ -68,9 +68,9 @@ def compute(options, records, tables, draws):
     wanted = [
         (options.data, row, draw, names)
         for draw in range(draws)
-        for rows, shown in tables
+        for rows, methods in tables
         for row in rows
-        if (names := [name for name in shown if options.again or not records.has(row, draw, name)])
+        if (names := [name for name in methods if options.again or not records.has(row, draw, name)])
     ]
     print(f"{len(wanted)} draws to compute", file=sys.stderr)
 

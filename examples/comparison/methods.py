@@ -110,7 +110,7 @@ SURFACES |= {
 }
 
 
-def methods(problem):
+def applicable(problem):
     """Return the methods that apply to a problem, by name: a warp and a surface may share one."""
     return WARPS if problem.target.ndim == 2 else SURFACES
 
