@@ -218,7 +218,7 @@ def farthest_first(points: ArrayLike, max_count: int) -> Integers:
     Examples
     --------
     >>> farthest_first([[0, 0], [4, 0], [4, 4], [0, 4], [2, 2], [2, 1]], 5)
-    array([0, 2, 1, 3, 4])
+    array([2, 0, 1, 3, 4])
     """
     points = check.points(points, "points")
     covered_region(points)

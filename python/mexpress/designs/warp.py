@@ -157,7 +157,7 @@ def warp_design(
     source: ArrayLike,
     target: ArrayLike,
     fractional: bool = True,
-    over_data: bool = False,
+    over_data: bool | None = None,
 ) -> WarpDesign:
     """Write the fit of a warp to matches as a linear least-squares problem.
 
@@ -173,9 +173,10 @@ def warp_design(
         Matched points in pixels of either image, x then y.
     fractional : bool
         Whether the warp has a denominator.
-    over_data : bool
+    over_data : bool, optional
         Whether the denominators have mean one over the matches. Otherwise their parameters do, as in the paper
-        (eq. 19): that is the mean over the control points of a thin-plate spline.
+        (eq. 19): for a thin-plate spline that is the mean over the control points, and its default. Control points
+        of other liftings may be far from the matches, where a denominator can grow while it vanishes over them.
 
     Returns
     -------
@@ -199,7 +200,8 @@ def warp_design(
     basis = lifting.basis(source)
     n, count = basis.shape
     centre, about, scale = _centred(target)
-    normal = basis.mean(axis=0) if over_data else np.full(count, 1 / count)
+    usual = not isinstance(lifting, ThinPlateSpline)
+    normal = basis.mean(axis=0) if (usual if over_data is None else over_data) else np.full(count, 1 / count)
     if not fractional:
         return WarpDesign(basis, target, 1, lifting, domain, centre, scale, normal)
     rows = np.zeros((n, 2, 3 * count - 1))

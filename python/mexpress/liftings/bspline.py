@@ -99,9 +99,8 @@ class BSpline(SparseLifting):
         )
         i, j = np.tile(np.arange(x.number), y.number), np.repeat(np.arange(y.number), x.number)
         affine = np.column_stack([np.ones(len(i)), i - i.mean(), j - j.mean()])
-        side = np.linalg.qr(affine, mode="complete").Q[
-            :, 3:
-        ]  # so that rounding does not bend affine functions
+        # What is beside the affine functions, so that rounding does not bend these.
+        side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
         bending = np.empty((len(i) - 3, len(i)))
         bending[:, order.ravel()] = np.linalg.qr(rows @ side).R @ side.T / np.sqrt(8 * np.pi)
         return bending

@@ -130,7 +130,7 @@ class Lifting(ABC):
         Returns
         -------
         ndarray, (k, l)
-            As few rows as determine it; Z x is zero if f is affine.
+            With any k; Z x is zero if and only if f is affine.
 
         Examples
         --------

@@ -94,7 +94,8 @@ class WarpSelection(Selection):
         20
         """
         lifting, fractional = self.warp.lifting, self.warp.fractional
-        design = warp_design(lifting, self.source, self.target, fractional, self.placement == "nested")
+        over_data = _over_data(self.placement)
+        design = warp_design(lifting, self.source, self.target, fractional, over_data)
         return penalised(design, self.smoothing, weights, threads)
 
 
@@ -210,7 +211,7 @@ def select_warp(
         ordered,
         region,
         partial(
-            warp_design, source=source, target=target, fractional=fractional, over_data=spread == "nested"
+            warp_design, source=source, target=target, fractional=fractional, over_data=_over_data(spread)
         ),
         partial(nested_warp_design, source, target, fractional=fractional),
     )
@@ -227,6 +228,11 @@ def select_warp(
     return WarpSelection(
         **vars(selection), warps=warps, source=source, target=target, image_size=size, placement=spread
     )
+
+
+def _over_data(placement: str) -> bool | None:
+    """Whether denominators have mean one over the data, as nested models need it; None is as the lifting likes it."""
+    return True if placement == "nested" else None
 
 
 def _placement(placement: str | None, splines: bool, several: bool) -> str:
