@@ -79,17 +79,12 @@ def automatic_spline(problem):
     return fitted(problem.test_source)
 
 
-def selected_warp(problem, lifting, smoothing):
-    """Fit the warp that mexpress selects."""
-    matches = problem.source, problem.target
-    selection = mx.select_warp(*matches, lifting=lifting, smoothing=smoothing, image_size=problem.image_size)
-    return selection.warp(problem.test_source)
-
-
-def selected_surface(problem, smoothing):
-    """Fit the surface that mexpress selects."""
-    selection = mx.select_surface(problem.source, problem.target, smoothing=smoothing)
-    return selection.surface(problem.test_source)
+def selected(problem, lifting, smoothing):
+    """Fit the warp or the surface that mexpress selects."""
+    data, how = (problem.source, problem.target), {"lifting": lifting, "smoothing": smoothing}
+    if problem.target.ndim == 2:
+        return mx.select_warp(*data, image_size=problem.image_size, **how).warp(problem.test_source)
+    return mx.select_surface(*data, **how).surface(problem.test_source)
 
 
 SPLINES = {
@@ -97,22 +92,13 @@ SPLINES = {
     "scipy RBF 10-fold": partial(cross_validated_spline, folds=FOLDS),
     "treverhines-rbf auto": automatic_spline,
 }
-WARPS = {"homography": nearest_homography, "scikit-image TPS": interpolating_spline} | SPLINES
-WARPS |= {
-    f"mexpress {lifting}{name}": partial(selected_warp, lifting=lifting, smoothing=smoothing)
+OURS = {
+    f"mexpress {lifting}{name}": partial(selected, lifting=lifting, smoothing=smoothing)
     for lifting in ("tps", "bspline", "affine")
     for name, smoothing in (("", 0.0), (" auto", "auto"))
 }
-SURFACES = {"plane": nearest_plane} | SPLINES
-SURFACES |= {
-    "mexpress tps": partial(selected_surface, smoothing=0.0),
-    "mexpress tps auto": partial(selected_surface, smoothing="auto"),
-}
-
-
-def applicable(problem):
-    """Return the methods that apply to a problem, by name: a warp and a surface may share one."""
-    return WARPS if problem.target.ndim == 2 else SURFACES
+WARPS = {"homography": nearest_homography, "scikit-image TPS": interpolating_spline} | SPLINES | OURS
+SURFACES = {"plane": nearest_plane} | SPLINES | OURS
 
 
 def error(problem, method):
