@@ -103,6 +103,23 @@ def table(records, draws):
     return [*lines, f"| {BEST}: RMS | " + " | ".join(f"{error:.3f}" for error in least) + " |"]
 
 
+def errors_of(records, row, name, draws):
+    """Return the errors of what a criterion selected, a draw each."""
+    return (1 + records.drawn(row, name, draws) / 100) * records.drawn(row, BEST, draws)
+
+
+def gains(records, draws):
+    """Return the lines of a Markdown table: the selected weight's error over the selected count's, the median."""
+    lines = ["| | " + " | ".join(KINDS.values()) + " |", "|---" * (len(KINDS) + 1) + "|"]
+    for name in CRITERIA:
+        pairs = (
+            [errors_of(records, f"{kind}, {family}", name, draws) for family in FAMILIES] for kind in KINDS
+        )
+        ratios = (np.median(weight / count) for count, weight in pairs)
+        lines.append(f"| {name} | " + " | ".join(f"{ratio:.2f}" for ratio in ratios) + " |")
+    return lines
+
+
 def draw_losses(records, draws, path):
     """Plot the loss of every surface, a line for each criterion, with the median and the 90th percentile."""
     figure = Figure(figsize=(12, 1 + 0.55 * len(CRITERIA)), layout="constrained", dpi=120)
@@ -142,7 +159,7 @@ def run(options):
     options.out.mkdir(parents=True, exist_ok=True)
     records, draws = Records(options.out / "criteria.csv"), FEW if options.quick else DRAWS
     compute(records, draws)
-    lines = "\n".join(table(records, draws))
+    lines = "\n".join([*table(records, draws), "", *gains(records, draws)])
     (options.out / "criteria.md").write_text(f"{lines}\n", encoding="utf-8")
     print(lines)
     draw_losses(records, draws, options.out / "criteria.png")

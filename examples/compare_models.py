@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 
 import mexpress as mx
 
-DRAWS, FEW = 24, 4
+DRAWS, FEW = 12, 4
 OURS = "mexpress tps auto"
 CLOSE, FAR = 1.03, 10.0
 """Times the best's error: what counts as equal, and where the plot ends."""
