@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).parents[1] / "examples"))
 import compare_criteria
 import compare_models
 from comparison import fields, problems
-from comparison.methods import HeldOut, cross_validated_spline, error, nearest_homography
+from comparison.methods import OURS, HeldOut, cross_validated_spline, error, nearest_homography
 from comparison.records import Records
 
 
@@ -120,6 +120,16 @@ def test_a_warp_is_judged_as_a_warp_and_a_map_as_a_map(tmp_path):
     assert found["mexpress tps"][0] < 2 * found["homography"][0]
     found = compare_models.judge(tmp_path, "Jacksboro (300)", 0, ["plane", "mexpress tps"])
     assert found["mexpress tps"][0] < found["plane"][0]
+
+
+def test_a_criterion_without_any_score_is_an_infinite_error_and_other_refusals_are_raised():
+    rng = np.random.default_rng(0)
+    source, unseen = rng.uniform(0, 100, (2, 12, 2))
+    few = problems.Problem(source, 2 * source, unseen, 2 * unseen)
+    assert error(few, OURS["mexpress bspline"]) == np.inf
+    line = problems.Problem(source * [1, 0], 2 * source, unseen, 2 * unseen)
+    with pytest.raises(ValueError, match="Invalid source"):
+        error(line, OURS["mexpress bspline"])
 
 
 def test_the_verdict_compares_to_the_best_of_the_others(tmp_path):

@@ -80,11 +80,16 @@ def automatic_spline(problem):
 
 
 def selected(problem, lifting, smoothing):
-    """Fit the warp or the surface that mexpress selects."""
+    """Fit the warp or the surface that mexpress selects; all NaN if its criterion has no score at any count."""
     data, how = (problem.source, problem.target), {"lifting": lifting, "smoothing": smoothing}
-    if problem.target.ndim == 2:
-        return mx.select_warp(*data, image_size=problem.image_size, **how).warp(problem.test_source)
-    return mx.select_surface(*data, **how).surface(problem.test_source)
+    try:
+        if problem.target.ndim == 2:
+            return mx.select_warp(*data, image_size=problem.image_size, **how).warp(problem.test_source)
+        return mx.select_surface(*data, **how).surface(problem.test_source)
+    except ValueError as refusal:
+        if not str(refusal).startswith("Invalid criterion."):
+            raise
+        return np.full_like(problem.test_target, np.nan)
 
 
 SPLINES = {
