@@ -1,0 +1,169 @@
+"""How much is lost by what a criterion selects: error over that of the best of the models it chose from.
+
+Usage: ``python examples/compare_criteria.py --out DIR [--quick]``; needs matplotlib. Random surfaces are
+sampled with noise in three ways (`comparison.fields`): every datum with noise of its own, with noise that neighbours
+share, and few data in clusters. Two families of models are selected from by `mexpress.select_surface`:
+
+count    a number of control points, without smoothing
+weight   many control points, or three, and a weight of the bending energy, by ``smoothing="auto"``
+
+The error is the root mean square distance to the surface itself over the whole square. DIR/criteria.csv keeps the
+losses, so what is there is not computed again; DIR gets criteria.md and criteria.png too.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from comparison.fields import sample
+from comparison.records import Records
+from demo_surface import true_errors
+from matplotlib.figure import Figure
+
+import mexpress as mx
+
+KINDS = {
+    "independent": "noise of its own",
+    "correlated": "noise shared by neighbours",
+    "clustered": "few data, in clusters",
+}
+FAMILIES = {"count": 0.0, "weight": "auto"}
+"""What `smoothing` is."""
+
+CRITERIA = ("CMPRESS", "KF10", "GCV", "AIC", "BIC", "MATCHED", "ER01", "ER05", "ER10")
+CRITERIA += ("NN01PCT", "NN05PCT", "NN10PCT")
+BEST = "best possible"
+DRAWS, FEW = 40, 6
+LARGEST = 175
+MOST = 300.0
+"""Where the plot ends, in per cent."""
+
+
+def true_map(selection, data):
+    """Return the error of every model of a selection, a row for each count and a column for each weight."""
+    if len(selection.weights) == 1:
+        return true_errors(selection, selection.control_points, data.grid, data.truth)[:, None]
+    errors = np.empty((len(selection.counts), len(selection.weights)))
+    for place in np.ndindex(errors.shape):
+        control_points = selection.control_points[: selection.counts[place[0]]]
+        surface = mx.fit_surface(
+            data.points, data.values, control_points, smoothing=selection.weights[place[1]]
+        )
+        errors[place] = np.sqrt(((surface(data.grid) - data.truth) ** 2).mean())
+    return errors
+
+
+def losses(kind, family, draw, names):
+    """Return {criterion: (loss in per cent, seconds)} for a draw, and the least error."""
+    data, start = sample(kind, draw), time.perf_counter()
+    most = min(LARGEST, len(data.points) // 2)
+    selection = mx.select_surface(
+        data.points, data.values, "FIT", names, max_count=most, smoothing=FAMILIES[family]
+    )
+    seconds = (time.perf_counter() - start) / len(names)
+    errors = true_map(selection, data)
+    found = {BEST: (float(errors.min()), seconds)}
+    for name in names:
+        count, weight = selection.selected[name], selection.selected_smoothing[name]
+        at = selection.counts == count, selection.weights == weight
+        chosen = np.inf if count is None else errors[np.ix_(*at)].item()
+        found[name] = float(100 * (chosen / errors.min() - 1)), seconds
+    return found
+
+
+def compute(records, draws):
+    """Compute the losses that are missing."""
+    wanted = [
+        (kind, family, draw, names)
+        for draw in range(draws)
+        for kind in KINDS
+        for family in FAMILIES
+        if (names := [name for name in CRITERIA if not records.has(f"{kind}, {family}", draw, name)])
+    ]
+
+    def keep(index, found):
+        kind, family, draw, _ = wanted[index]
+        records.add(f"{kind}, {family}", draw, found)
+
+    mx.map_problems(losses, wanted, progress=True, on_result=keep)
+
+
+def table(records, draws):
+    """Return the lines of a Markdown table: the median loss, and the 90th percentile in brackets."""
+    rows = [f"{kind}, {family}" for kind in KINDS for family in FAMILIES]
+    titles = [f"{KINDS[kind]}: {family}" for kind in KINDS for family in FAMILIES]
+    lines = ["| | " + " | ".join(titles) + " |", "|---" * (len(rows) + 1) + "|"]
+    for name in CRITERIA:
+        cells = (np.percentile(records.drawn(row, name, draws), [50, 90]) for row in rows)
+        lines.append(
+            f"| {name} | " + " | ".join(f"{middle:.0f} ({high:.0f})" for middle, high in cells) + " |"
+        )
+    least = (np.median(records.drawn(row, BEST, draws)) for row in rows)
+    return [*lines, f"| {BEST}: RMS | " + " | ".join(f"{error:.3f}" for error in least) + " |"]
+
+
+def errors_of(records, row, name, draws):
+    """Return the errors of what a criterion selected, a draw each."""
+    return (1 + records.drawn(row, name, draws) / 100) * records.drawn(row, BEST, draws)
+
+
+def gains(records, draws):
+    """Return the lines of a Markdown table: the selected weight's error over the selected count's, the median."""
+    lines = ["| | " + " | ".join(KINDS.values()) + " |", "|---" * (len(KINDS) + 1) + "|"]
+    for name in CRITERIA:
+        pairs = (
+            [errors_of(records, f"{kind}, {family}", name, draws) for family in FAMILIES] for kind in KINDS
+        )
+        ratios = (np.median(weight / count) for count, weight in pairs)
+        lines.append(f"| {name} | " + " | ".join(f"{ratio:.2f}" for ratio in ratios) + " |")
+    return lines
+
+
+def draw_losses(records, draws, path):
+    """Plot the loss of every surface, a line for each criterion, with the median and the 90th percentile."""
+    figure = Figure(figsize=(12, 1 + 0.55 * len(CRITERIA)), layout="constrained", dpi=120)
+    grid = figure.subplots(len(FAMILIES), len(KINDS), sharex=True, sharey=True)
+    ticks = [0, 5, 10, 30, 100, 300]
+    for place, axes in np.ndenumerate(grid):
+        family, kind = list(FAMILIES)[place[0]], list(KINDS)[place[1]]
+        for height, name in enumerate(reversed(CRITERIA)):
+            found = records.drawn(f"{kind}, {family}", name, draws).clip(max=MOST)
+            middle, high = np.percentile(found, [50, 90])
+            axes.plot(found, np.full(draws, height), "o", color="#0072B2", alpha=0.35, ms=4, mew=0)
+            axes.plot([middle, high], [height, height], color="#D55E00", lw=2)
+            axes.plot(middle, height, "o", color="#D55E00", ms=8, mec="white")
+        axes.set_title(f"{KINDS[kind]}: {family}", fontsize=11)
+        axes.set_xscale("symlog", linthresh=10)
+        axes.set(xlim=(-0.5, MOST), yticks=range(len(CRITERIA)), yticklabels=CRITERIA[::-1])
+        axes.set_xticks(ticks, ticks)
+        axes.set_xticks([], minor=True)
+        axes.grid(alpha=0.25)
+    figure.supxlabel(
+        "error over that of the best model of the family (%): every surface, the median, up to the 90th percentile"
+    )
+    figure.savefig(path)
+
+
+def arguments():
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    add = parser.add_argument
+    add("--out", metavar="DIR", type=Path, required=True, help="made if it does not exist")
+    add("--quick", action="store_true", help=f"{FEW} surfaces instead of {DRAWS}")
+    return parser.parse_args()
+
+
+def run(options):
+    """Compute, and write the table and the plot."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    records, draws = Records(options.out / "criteria.csv"), FEW if options.quick else DRAWS
+    compute(records, draws)
+    lines = "\n".join([*table(records, draws), "", *gains(records, draws)])
+    (options.out / "criteria.md").write_text(f"{lines}\n", encoding="utf-8")
+    print(lines)
+    draw_losses(records, draws, options.out / "criteria.png")
+
+
+if __name__ == "__main__":
+    run(arguments())

@@ -1,0 +1,182 @@
+"""What the comparisons in examples/ rest on: rivals' cross-validation, problems, records and losses."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+
+import mexpress as mx
+
+pytest.importorskip("skimage", "0.26")
+sys.path.append(str(Path(__file__).parents[1] / "examples"))
+
+import compare_criteria
+import compare_models
+from comparison import fields, problems
+from comparison.methods import OURS, HeldOut, cross_validated_spline, error, nearest_homography
+from comparison.records import Records
+
+
+@pytest.mark.parametrize("smoothing", [1e-3, 10.0, 1e6])
+@pytest.mark.parametrize("folds", [10, 60])
+def test_residuals_held_out_equal_those_of_scipys_splines_fitted_to_the_rest(smoothing, folds):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 640, (60, 2))
+    values = np.sin(points / 100) + rng.normal(0, 0.1, points.shape)
+    parts = np.array_split(rng.permutation(60), folds)
+    expected = np.empty_like(values)
+    for part in parts:
+        rest = np.setdiff1d(np.arange(60), part)
+        spline = RBFInterpolator(points[rest], values[rest], kernel="thin_plate_spline", smoothing=smoothing)
+        expected[part] = values[part] - spline(points[part])
+    np.testing.assert_allclose(HeldOut(points, values)(smoothing, parts), expected, rtol=0, atol=1e-9)
+
+
+def test_a_cross_validated_spline_takes_noise_away():
+    rng = np.random.default_rng(1)
+    points, unseen = rng.uniform(0, 640, (2, 150, 2))
+    noisy = np.sin(points[:, 0] / 100) + rng.normal(0, 0.3, 150)
+    problem = problems.Problem(points, noisy, unseen, np.sin(unseen[:, 0] / 100))
+    interpolant = RBFInterpolator(points, noisy, kernel="thin_plate_spline")
+    for folds in (None, 10):
+        smoothed = error(problem, lambda given, folds=folds: cross_validated_spline(given, folds))
+        assert smoothed < 0.6 * error(problem, lambda given: interpolant(given.test_source))
+
+
+def test_an_error_is_the_root_of_the_mean_squared_distance_and_a_vanished_denominator_is_infinite():
+    square = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+    problem = problems.Problem(square, square, square, square)
+    assert error(problem, lambda given: given.test_source + np.array([3, 4])) == pytest.approx(5)
+    vanished = np.where(square == [0, 1], np.nan, square)
+    assert error(problem, lambda given: vanished) == np.inf
+    depths = problems.Problem(square, square[:, 0], square, square[:, 0])
+    assert error(depths, lambda given: given.test_target + np.array([1, 1, 1, 5])) == pytest.approx(
+        np.sqrt(7)
+    )
+
+
+@pytest.mark.parametrize("draw", range(5))
+def test_homographies_are_strong_and_exact_where_they_judge_and_noisy_where_they_are_fitted(draw):
+    drawn = problems.homography(400, draw)
+    exact = problems.Problem(drawn.test_source, drawn.test_target, drawn.test_source, drawn.test_target)
+    assert error(exact, nearest_homography) < 1e-6
+    assert 0.01 < error(drawn, nearest_homography) < 0.6
+    truth = problems.ProjectiveTransform.from_estimate(drawn.test_source, drawn.test_target)
+    assert 2 <= problems.denominators(truth, problems.CORNERS) <= 4
+    apart = drawn.target - truth(drawn.source)
+    assert 1 < apart.std() < 3
+    again = problems.homography(400, draw)
+    np.testing.assert_array_equal(again.target, drawn.target)
+
+
+def test_a_denominator_that_vanishes_has_no_finite_ratio():
+    below = problems.ProjectiveTransform(np.array([[1, 0, 0], [0, 1, 0], [0.01, 0, 1]]))
+    assert problems.denominators(below, np.array([[0.0, 0], [100, 0]])) == pytest.approx(2)
+    assert problems.denominators(below, np.array([[0.0, 0], [-200, 0]])) == np.inf
+
+
+def test_what_judges_a_map_is_not_fitted():
+    drawn = problems.pixels(problems.terrain, 50, 3)
+    assert len(drawn.source) == 50
+    assert len(drawn.test_source) == 3000
+    both = np.vstack([drawn.source, drawn.test_source])
+    assert len(np.unique(both, axis=0)) == 3050
+
+
+def test_records_are_what_was_added_also_when_read_again(tmp_path):
+    path = tmp_path / "errors.csv"
+    records = Records(path)
+    records.add("a, b", 0, {"one": (0.1234567, 1.0), "two": (np.inf, 2.0)})
+    records.add("a, b", 1, {"one": (0.5, 1.0)})
+    records.add("a, b", 1, {"one": (0.25, 1.0)})
+    for kept in (records, Records(path)):
+        assert kept.has("a, b", 0, "two")
+        assert not kept.has("a, b", 1, "two")
+        np.testing.assert_allclose(kept.drawn("a, b", "one", 2), [0.1234567, 0.25])
+        np.testing.assert_array_equal(kept.drawn("a, b", "two", 2), [np.inf, np.nan])
+
+
+def test_only_what_is_missing_is_computed_and_the_tables_say_who_won(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compare_models, "FEW", 2)
+    arguments = ["x", str(tmp_path), "--out", str(tmp_path / "out"), "--quick", "--rows", "homography (30)"]
+    for command, lines in (
+        ([*arguments, "--methods", "homography"], 1),
+        ([*arguments, "--methods", "homography,scikit"], 2),
+        ([*arguments, "--methods", "homography,scikit"], 2),
+        ([*arguments, "--methods", "scikit", "--again"], 3),
+    ):
+        monkeypatch.setattr(sys, "argv", command)
+        compare_models.run(compare_models.arguments())
+        assert len((tmp_path / "out/errors.csv").read_text().splitlines()) == 1 + 2 * lines
+    said = capsys.readouterr().out
+    assert "| homography (30) | **" in said
+    assert (tmp_path / "out/models.png").stat().st_size > 1000
+
+
+def test_a_warp_is_judged_as_a_warp_and_a_map_as_a_map(tmp_path):
+    found = compare_models.judge(tmp_path, "homography (30)", 0, ["homography", "mexpress tps"])
+    assert found["mexpress tps"][0] < 2 * found["homography"][0]
+    found = compare_models.judge(tmp_path, "Jacksboro (300)", 0, ["plane", "mexpress tps"])
+    assert found["mexpress tps"][0] < found["plane"][0]
+
+
+def test_a_criterion_without_any_score_is_an_infinite_error_and_other_refusals_are_raised():
+    rng = np.random.default_rng(0)
+    source, unseen = rng.uniform(0, 100, (2, 12, 2))
+    few = problems.Problem(source, 2 * source, unseen, 2 * unseen)
+    assert error(few, OURS["mexpress bspline"]) == np.inf
+    line = problems.Problem(source * [1, 0], 2 * source, unseen, 2 * unseen)
+    with pytest.raises(ValueError, match="Invalid source"):
+        error(line, OURS["mexpress bspline"])
+
+
+def test_the_verdict_compares_to_the_best_of_the_others(tmp_path):
+    records = Records(tmp_path / "errors.csv")
+    for draw, (ours, spline, plane) in enumerate([(2, 1, 3), (1, 2, 3), (1, 2, 3)]):
+        found = {compare_models.OURS: ours, "scipy RBF 10-fold": spline, "plane": plane}
+        records.add("map", draw, {name: (float(value), 0.0) for name, value in found.items()})
+    methods = ["plane", "scipy RBF 10-fold", compare_models.OURS]
+    verdict = compare_models.verdicts(records, ["map"], methods, 3)[-1]
+    assert verdict == "| map | scipy RBF 10-fold | 0.500 | 2 of 3 |"
+    row = compare_models.table(records, ["map"], methods, 3)[-1]
+    assert row == "| map | 3 (3) | 2 (2) | **1** (2) |"
+
+
+def test_shared_noise_has_the_correlation_that_it_is_said_to_have():
+    points = np.random.default_rng(0).uniform(0, 1, (30, 2))
+    drawn = np.array([fields.shared_noise(points, 0.2, np.random.default_rng(k)) for k in range(4000)])
+    squared = ((points[:, None] - points) ** 2).sum(axis=2)
+    expected = np.exp(-squared / (2 * 0.2**2))
+    assert np.abs(drawn.T @ drawn / len(drawn) - expected).max() < 0.08
+
+
+def test_a_surface_is_the_same_whatever_the_data():
+    samples = [fields.sample(kind, 4) for kind in compare_criteria.KINDS]
+    for other in samples[1:]:
+        np.testing.assert_array_equal(other.truth, samples[0].truth)
+    assert len(samples[2].points) < len(samples[0].points)
+
+
+def refit_error(data, control_points, smoothing):
+    surface = mx.fit_surface(data.points, data.values, control_points, smoothing=smoothing)
+    return np.sqrt(((surface(data.grid) - data.truth) ** 2).mean())
+
+
+@pytest.mark.parametrize("family", ["count", "weight"])
+def test_a_loss_is_that_of_the_refitted_surfaces(family, monkeypatch):
+    monkeypatch.setattr(compare_criteria, "LARGEST", 15)
+    data = fields.sample("clustered", 1)
+    found = compare_criteria.losses("clustered", family, 1, ["CMPRESS", "BIC"])
+    smoothing = {"count": 0.0, "weight": "auto"}[family]
+    selection = mx.select_surface(
+        data.points, data.values, "BIC", ["CMPRESS"], max_count=15, smoothing=smoothing
+    )
+    models = [(int(count), float(weight)) for count in selection.counts for weight in selection.weights]
+    errors = {model: refit_error(data, selection.control_points[: model[0]], model[1]) for model in models}
+    assert found[compare_criteria.BEST][0] == pytest.approx(min(errors.values()), rel=1e-9)
+    for name in ("CMPRESS", "BIC"):
+        chosen = selection.selected[name], selection.selected_smoothing[name]
+        loss = 100 * (errors[chosen] / min(errors.values()) - 1)
+        assert found[name][0] == pytest.approx(loss, abs=1e-6)
