@@ -45,8 +45,9 @@ def time_map() -> None:
             source, target, criteria=CRITERIA, counts=COUNTS, image_size=(640, 480), **options
         )
 
-    plain = min(timed(sweep(placement="nested")) for _ in range(3))
+    before = [timed(sweep(placement="nested")) for _ in range(3)]
     whole = timed(sweep(placement="nested", smoothing=weights))
+    plain = float(np.median(before + [timed(sweep(placement="nested")) for _ in range(3)]))
     print(
         f"{len(COUNTS)} counts {plain:.2f} s, x {len(weights)} weights {whole:.2f} s: {whole / plain:.1f} plain sweeps"
     )
