@@ -1,6 +1,7 @@
 """Selections over counts and weights of smoothing, against a plain refit for every entry of their maps."""
 
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from oracle import Problem
 
 import mexpress as mx
 from mexpress.designs import nested_warp_design, surface_design, warp_design
+from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import ThinPlateSpline, lifting_named
 from mexpress.placement import area, covered_region, farthest_first, lloyd
 from mexpress.smoothing import weights_of
@@ -449,3 +451,19 @@ def test_a_fit_keeps_its_weight_in_its_file(tmp_path):
     assert warp.smoothing > 0
     warp.save(tmp_path / "warp.npz")
     assert mx.load(tmp_path / "warp.npz").smoothing == warp.smoothing
+
+
+def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
+    living, most = weakref.WeakSet(), []
+    made = LeastSquares.orthonormal.__func__
+
+    def counted(*given):
+        model = made(*given)
+        living.add(model)
+        most.append(len(living))
+        return model
+
+    monkeypatch.setattr(LeastSquares, "orthonormal", classmethod(counted))
+    mx.select_warp(SOURCE, TARGET, "CMPRESS", smoothing="auto")
+    assert len(most) == 20  # of the larger design; the smaller one has nothing to bend
+    assert max(most) <= 2

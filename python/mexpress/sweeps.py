@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import chain, repeat
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -103,34 +104,33 @@ def one_by_one(
     for design in designs:
         fits, rank = _fits(design, weights, threads)
         sizes.append((design.count, rank, design.A.shape[1]))
-        parameters.append([_parameters(fit) for fit in fits])
-        found.append([])
-        for fit in fits:
+        for row in (parameters, found, models):
+            row.append([])
+        for fit, weight in zip(fits, weights.tolist(), strict=True):
+            parameters[-1].append(_parameters(fit))
             found[-1].append(judge.scores(fit.model, threads))
+            models[-1].append(None if fit.coefficients is None else design.model(fit.coefficients, weight))
             step()
-        models.append(
-            [
-                None if fit.coefficients is None else design.model(fit.coefficients, float(weight))
-                for fit, weight in zip(fits, weights, strict=True)
-            ]
-        )
     scores = {name: [[by_name[name] for by_name in row] for row in found] for name in judge.criteria}
     counts, ranks, unknowns = np.array(sizes, dtype=np.int64).T
     return Sweep(counts, weights, scores, np.array(parameters), ranks, unknowns, lambda k, w: models[k][w])
 
 
-def _fits(design: Design[Model], weights: Floats, threads: int | None) -> tuple[list[Fitted], int]:
-    """Fits of one design at all weights, and the rank of the design without bending energy."""
+def _fits(design: Design[Model], weights: Floats, threads: int | None) -> tuple[Iterable[Fitted], int]:
+    """Fits of one design at all weights, made as they are asked for, and its rank without bending energy.
+
+    Each is as large as the design, so that all of them at once would take many times its memory.
+    """
     problem, bending = (design.A, design.b, design.coupling), design.bending()
     if not (len(bending) and weights[-1] > 0):
         plain = LeastSquares(*problem, threads=threads)
-        return [Fitted.plain(plain)] * len(weights), plain.rank
+        return repeat(Fitted.plain(plain), len(weights)), plain.rank
     spectrum = Spectrum(*problem, bending)
-    stiff = [spectrum.at(float(weight), threads) for weight in weights if weight > 0]
+    stiff = (spectrum.at(weight, threads) for weight in weights.tolist() if weight > 0)
     if weights[0] > 0:
         return stiff, spectrum.rank
     plain = LeastSquares(*problem, threads=threads)
-    return [Fitted.plain(plain), *stiff], plain.rank
+    return chain([Fitted.plain(plain)], stiff), plain.rank
 
 
 def _parameters(fit: Fitted) -> float:

@@ -33,6 +33,7 @@ _CHUNK = 1 << 14
 class Lifting(ABC):
     """Functions of the plane, one a control point: nu maps a point q to l numbers, and f(q) = nu(q) . x.
 
+    They sum to one everywhere, so that equal parameters are a constant function, and affine functions are among f.
     A subclass gives `name`, `basis`, `derivatives` and `bending`; whatever else is here may be overridden
     where there is a better or a faster answer. `register` makes it known by its name.
 

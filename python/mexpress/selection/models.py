@@ -20,7 +20,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, parse
 from mexpress.designs import Design, NestedDesign
-from mexpress.liftings import Lifting, ThinPlateSpline
+from mexpress.liftings import Lifting
 from mexpress.nested import steps
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
@@ -156,7 +156,7 @@ class Models(Generic[Model]):
     weights : (w,) array
         Weights of the bending energy, increasing.
     ordered : (l, 2) array or None
-        Control points of which every count takes the first; None if every count has its own.
+        Control points of thin-plate splines, of which every count takes the first; None if every count has its own.
     region : (k, 2) array
         What the data cover.
     design : callable
@@ -184,8 +184,7 @@ class Models(Generic[Model]):
         --------
         See `mexpress.select_warp`.
         """
-        splines = issubclass(self.lifting, ThinPlateSpline)
-        if self.ordered is not None and splines and len(self.counts) > _FEW:
+        if self.ordered is not None and len(self.counts) > _FEW:
             name, judge = jury.judge(nested=True)
             rounds = len(self.weights) * steps(len(jury.points))
             with bar(rounds, label) if label else nullcontext(lambda: None) as step:

@@ -101,7 +101,10 @@ class Selection:
 
     @property
     def selected(self) -> dict[str, int | None]:
-        """How many control points each criterion would choose: those of its smallest score; None if it has no score.
+        """How many control points each criterion would choose; None if it has no score.
+
+        Those of its smallest score, or with `slack` of the model with the fewest effective parameters near it; AIC and
+        BIC, which weigh parameters themselves and have no unit, have no slack.
 
         Examples
         --------
