@@ -363,3 +363,51 @@ def test_no_stream_no_progress(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     with bar(1, "warp", clock=iter([0.0, 9.0]).__next__) as step:
         step()
+
+
+def test_weights_are_tabulated_and_written(matches, tmp_path, capsys):
+    out = tmp_path / "out"
+    code = main(
+        [
+            "warp",
+            str(matches),
+            "--out",
+            str(out),
+            "--counts",
+            "3,9",
+            "--smoothing",
+            "0,100,1e4",
+            "--criterion",
+            "CMPRESS",
+            "--criteria",
+            "FIT",
+            "--no-plots",
+            "--quiet",
+        ]
+    )
+    assert code == 0
+    selection = mx.select_warp(
+        SOURCE, TARGET, criterion="CMPRESS", criteria=["FIT"], counts=[3, 9], smoothing=[0, 100, 1e4]
+    )
+    said = capsys.readouterr().out
+    assert f"control points and smoothing {selection.smoothing:.3g}" in said
+    heads = [line.split()[:2] for line in said.splitlines()[2:6]]
+    k = selection.place[0]
+    expected = [
+        [f"{w:.3g}", f"{p:.1f}"] for w, p in zip(selection.weights, selection.parameters[k], strict=True)
+    ]
+    assert heads == [["smoothing", "parameters"], *expected]
+    table = np.genfromtxt(out / "curves.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["count"], np.repeat([3, 9], 3))
+    np.testing.assert_array_equal(table["smoothing"], np.tile([0, 100, 1e4], 2))
+    np.testing.assert_array_equal(table["CMPRESS"], selection.maps["CMPRESS"].ravel())
+    summary = json.loads((out / "selection.json").read_text())
+    assert summary["smoothing"] == selection.smoothing
+    assert summary["maps"]["FIT"] == selection.maps["FIT"].tolist()
+    assert summary["weights"] == [0, 100, 1e4]
+
+
+@pytest.mark.parametrize("weights", ["abc", "1,x", ""])
+def test_weights_that_are_none(weights, matches, tmp_path, capsys):
+    assert main(["warp", str(matches), "--out", str(tmp_path), "--smoothing", weights]) == 2
+    assert "must be a weight" in capsys.readouterr().err

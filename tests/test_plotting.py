@@ -235,3 +235,49 @@ def test_the_missing_extra_is_named(selection, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"pip install 'mexpress\[plot\]'"):
         selection.plot()
+
+
+WEIGHTS = [0.0, 10.0, 100.0, 1e3, 1e4]
+
+
+def test_few_counts_are_drawn_against_the_weight(tmp_path):
+    selection = mx.select_warp(SOURCE, TARGET, "CMPRESS", ["FIT"], counts=[3, 12], smoothing=WEIGHTS)
+    figure = selection.plot(tmp_path / "curves.png")
+    assert is_drawn(tmp_path / "curves.png")
+    axes = figure.axes[0]
+    k = selection.place[0]
+    drawn = [line.get_ydata() for line in axes.lines]
+    assert any(np.array_equal(selection.maps["CMPRESS"][k], y) for y in drawn)
+    assert f"at {selection.count} control points" in axes.get_xlabel()
+    assert f"smoothing {selection.smoothing:.3g}" in axes.get_title(loc="left")
+    assert [text.get_text() for text in axes.get_xticklabels()][-1] == "0"
+    (top,) = axes.child_axes
+    shown = [text.get_text() for text in top.get_xticklabels()]
+    assert shown == [f"{parameters:.3g}" for parameters in selection.parameters[k]]
+
+
+def test_many_counts_have_a_map(tmp_path):
+    selection = mx.select_warp(SOURCE, TARGET, "CMPRESS", ["FIT"], counts=range(3, 12), smoothing=WEIGHTS)
+    figure = selection.plot(tmp_path / "curves.png")
+    assert is_drawn(tmp_path / "curves.png")
+    curves_, mapped = figure.axes[:2]
+    assert any(np.array_equal(selection.curves["CMPRESS"], line.get_ydata()) for line in curves_.lines)
+    shades = np.asarray(mapped.collections[0].get_array()).reshape(len(WEIGHTS), -1)
+    np.testing.assert_array_equal(shades, selection.maps["CMPRESS"].T)
+    marks = {text.get_text(): text.xy for text in mapped.texts}
+    assert marks["CMPRESS"][0] == selection.count
+    assert marks["CMPRESS"][1] == curves.weight_positions(selection.weights)[selection.place[1]]
+
+
+def test_weights_and_zero_on_one_axis():
+    np.testing.assert_allclose(curves.weight_positions(np.array([0.0, 1.0, 100.0])), [-2, 0, 2])
+    np.testing.assert_allclose(curves.weight_positions(np.array([0.0, 10.0])), [0.5, 1])
+
+
+def test_radii_of_a_selection(selection, tmp_path):
+    curve = selection.radii([0, 10])
+    assert curve.scores[0] == pytest.approx(selection.curves["CMPRESS"][selection.place[0]], rel=1e-9)
+    assert curve.scores[1] == pytest.approx(selection.score, rel=1e-9)
+    figure = selection.plot_radii(tmp_path / "radii.png")
+    assert is_drawn(tmp_path / "radii.png")
+    assert "pixels" in figure.axes[0].get_ylabel()

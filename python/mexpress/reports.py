@@ -31,8 +31,9 @@ PathLike = str | os.PathLike[str]
 def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None = None) -> str:
     """Return the criteria by number of control points; * marks what a criterion selects, - what is undefined.
 
-    With several weights of smoothing each count has the one that is best for the selecting criterion; with four counts
-    or fewer there is a line for every weight instead, at the selected count, with its effective number of parameters.
+    With several weights of smoothing each count has the one that is best for the selecting criterion, and * marks what
+    the others select of these lines. With four counts or fewer there is a line for every weight instead, at the
+    selected count, with its effective number of parameters.
 
     Parameters
     ----------
@@ -90,6 +91,10 @@ def _weights_tell_more(selection: Selection) -> bool:
     return len(selection.weights) > 1 and len(selection.counts) <= 4
 
 
+def _smallest(curves: Mapping[str, Floats]) -> dict[str, int | None]:
+    return {name: None if np.isnan(c).all() else int(np.nanargmin(c)) for name, c in curves.items()}
+
+
 def _by_count(selection: Selection) -> _Lines:
     counts = selection.counts.tolist()
     titles, heads = ["points"], [[str(count)] for count in counts]
@@ -105,9 +110,8 @@ def _by_count(selection: Selection) -> _Lines:
             name: np.array([np.nan if w is None else row[w] for row, w in zip(scores, best, strict=True)])
             for name, scores in selection.maps.items()
         }
-    chosen = {
-        name: None if count is None else counts.index(count) for name, count in selection.selected.items()
-    }
+    chosen = _smallest(curves)
+    chosen[selection.criterion] = selection.place[0]
     return _Lines(titles, heads, curves, chosen, "numbers of control points")
 
 
@@ -121,7 +125,7 @@ def _by_weight(selection: Selection) -> _Lines:
         for weight, count in zip(selection.weights, parameters, strict=True)
     ]
     curves = {name: scores[k] for name, scores in selection.maps.items()}
-    chosen = {name: None if np.isnan(c).all() else int(np.nanargmin(c)) for name, c in curves.items()}
+    chosen = _smallest(curves)
     chosen[selection.criterion] = selection.place[1]
     return _Lines(["smoothing", "parameters"], heads, curves, chosen, "weights")
 
