@@ -138,9 +138,9 @@ def test_the_verdict_compares_to_the_best_of_the_others(tmp_path):
         found = {compare_models.OURS: ours, "scipy RBF 10-fold": spline, "plane": plane}
         records.add("map", draw, {name: (float(value), 0.0) for name, value in found.items()})
     methods = ["plane", "scipy RBF 10-fold", compare_models.OURS]
-    verdict = compare_models.verdicts(records, ["map"], methods, 3)[-1]
+    verdict = compare_models.verdicts(records, ["map"], methods, {"map": 3})[-1]
     assert verdict == "| map | scipy RBF 10-fold | 0.500 | 2 of 3 |"
-    row = compare_models.table(records, ["map"], methods, 3)[-1]
+    row = compare_models.table(records, ["map"], methods, {"map": 3})[-1]
     assert row == "| map | 3 (3) | 2 (2) | **1** (2) |"
 
 
