@@ -36,7 +36,7 @@ const FIRST: usize = 16;
 /// let points = [0.0, 1.0, 2.0, 3.0, 4.0];
 /// let sets = matched(&points, &[-2.0, 6.0], 1, 3, &Pool::new(1, &flag))?;
 /// assert_eq!(sets.get(0), &[0, 1]);
-/// assert_eq!(sets.get(2), &[0, 1, 2, 3]);
+/// assert_eq!(sets.get(2), &[1, 2, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
 pub fn matched(
