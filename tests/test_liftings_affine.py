@@ -206,3 +206,15 @@ def test_points_on_a_long_walk_arrive():
     weights = PiecewiseAffine(centres).basis(points[:200])
     assert weights.min() > -1e-9
     np.testing.assert_allclose(weights @ centres, points[:200], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "shift"), [(1e-6, 0.0), (1e-3, 0.0), (3.0, 0.0), (1e60, 0.0), (1.0, 0.1), (10.0, 77.7)]
+)
+def test_the_cells_of_a_grid_are_cut_the_same_way_in_every_unit_and_from_every_origin(unit, shift):
+    points = np.random.default_rng(0).uniform(0, 640, (60, 2))
+    here, there = (Triangulation(PiecewiseAffine.place(at, 56)) for at in (points, unit * (points + shift)))
+    np.testing.assert_array_equal(there.corners, here.corners)
+    diagonals = here.sides[(np.abs(here.sides) > 1e-6).all(axis=2)]
+    assert len(diagonals) == 2 * 6 * 7
+    assert len(np.unique(np.sign(diagonals.prod(axis=1)))) == 1

@@ -217,3 +217,11 @@ def test_every_layout_of_the_same_numbers_gives_the_same():
         SQUARE.astype(int),
     ):
         np.testing.assert_array_equal(lloyd(same, np.int64(5)), expected)
+
+
+@pytest.mark.parametrize("exponent", [-500, -300, 300])
+def test_extreme_units_change_nothing_but_the_unit(exponent):
+    points, unit = np.random.default_rng(0).uniform(0, 640, (60, 2)), 2.0**exponent
+    np.testing.assert_allclose(lloyd(unit * points, 8) / unit, lloyd(points, 8), rtol=1e-9)
+    region = covered_region(points)
+    np.testing.assert_allclose(lattice(unit * region, 100) / unit, lattice(region, 100), rtol=1e-9)

@@ -413,16 +413,18 @@ def _right_turns_removed(ordered: list[list[float]]) -> list[list[float]]:
 def _moments(corners: Floats) -> tuple[Floats, Floats, float]:
     """Return centroid, lower Cholesky factor of the covariance, and area of a convex region.
 
-    A triangle of area S, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T), s = sum v_k.
+    A triangle that is a share S of the region, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T),
+    s = sum v_k.
     """
     fan = np.stack([np.broadcast_to(corners[0], corners[2:].shape), corners[1:-1], corners[2:]], axis=1)
     first, second = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
     areas = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
     area = float(areas.sum())
-    centroid = corners[0] + areas @ (first + second) / (3 * area)
+    shares = areas / area  # products of areas and lengths would underflow in tiny units
+    centroid = corners[0] + shares @ (first + second) / 3
     about = fan - centroid
     about = np.concatenate([about, about.sum(axis=1, keepdims=True)], axis=1)
-    covariance = np.einsum("t,tki,tkj->ij", areas, about, about) / (12 * area)
+    covariance = np.einsum("t,tki,tkj->ij", shares, about, about) / 12
     return centroid, np.asarray(np.linalg.cholesky(covariance)), area
 
 

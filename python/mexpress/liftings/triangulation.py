@@ -17,6 +17,9 @@ Indices: TypeAlias = NDArray[np.intp]
 _SAME_DIRECTION = 1e-9
 """Angle below which two neighbours of a point are in the same direction from it."""
 
+_SHEAR = 2.0**-20
+"""What decides between triangulations that are Delaunay's but for this."""
+
 _NEXT = np.array([1, 2, 0])
 
 _SLACK = 1e-12
@@ -163,7 +166,9 @@ def _turns(points: Floats) -> tuple[Indices, Indices, Indices]:
     about = points - points.mean(axis=0)
     about = about / np.abs(about).max()
     white = np.linalg.solve(np.linalg.cholesky(about.T @ about), about.T).T
-    offsets, members = _core.neighbours_delaunay(points)
+    # Every cell of a grid can be cut both ways. In this metric, next to the usual one, all are cut the same way, where
+    # rounding would decide anew in other units.
+    offsets, members = _core.neighbours_delaunay(about @ np.array([[1.0, 0.0], [_SHEAR, 1.0]]))
     here = np.repeat(np.arange(len(points)), np.diff(offsets))
     here, there = here[members != here], members[members != here]
     while True:
