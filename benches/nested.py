@@ -42,9 +42,9 @@ from threadpoolctl import threadpool_limits
 from versus import CORES, REST, THREADS, MatrixProduct, describe_machine, show, span
 
 import mexpress as mx
-from mexpress.clouds import read_cloud
 from mexpress.criteria import Judge
-from mexpress.designs import nested_surface_design
+from mexpress.io.clouds import read_cloud
+from mexpress.models import nested_surface_design
 
 LOCAL = ("ER01", "ER05", "ER10", "NN01PCT", "NN05PCT", "NN10PCT")
 CRITERIA = ("ER10", "ER01", "ER05", "NN01PCT", "NN05PCT", "NN10PCT", "PRESS", "AIC", "BIC")

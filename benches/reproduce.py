@@ -26,12 +26,14 @@ from threadpoolctl import threadpool_limits
 from versus import CORES, REST, describe_machine, show, span
 
 import mexpress as mx
-from mexpress import simulation, sweeps
+from mexpress import simulation
 from mexpress.criteria import Judge
 from mexpress.liftings import lifting
-from mexpress.reproduce import table1
-from mexpress.reproduce.paper import CRITERIA, SIZES
-from mexpress.selection import models, warp
+from mexpress.paper import table1
+from mexpress.paper.published import CRITERIA, SIZES
+from mexpress.selection import candidates as models
+from mexpress.selection import sweep as sweeps
+from mexpress.selection import warp
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "simulation": [(simulation, "correspondences")],

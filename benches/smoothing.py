@@ -15,7 +15,7 @@ import numpy as np
 
 import mexpress as mx
 from mexpress import simulation
-from mexpress.smoothing import weights_of
+from mexpress.selection.weights import weights_of
 
 COUNTS = range(3, 63)
 CRITERIA = ["FIT", "CMPRESS"]

@@ -21,7 +21,7 @@ from matplotlib.cbook import get_sample_data
 from matplotlib.figure import Figure
 
 from mexpress.cli import main
-from mexpress.clouds import read_cloud
+from mexpress.io.clouds import read_cloud
 from mexpress.liftings import nested_basis
 
 OUT = Path("demo-output/surface")

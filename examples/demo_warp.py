@@ -28,7 +28,7 @@ from skimage.transform import FundamentalMatrixTransform
 
 import mexpress as mx
 from mexpress.cli import main
-from mexpress.matches import write_matches
+from mexpress.io.matches import write_matches
 from mexpress.placement import lloyd
 
 OUT = Path("demo-output")

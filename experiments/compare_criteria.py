@@ -1,6 +1,6 @@
 """How much is lost by what a criterion selects: error over that of the best of the models it chose from.
 
-Usage: ``python examples/compare_criteria.py --out DIR [--quick]``; needs matplotlib. Random surfaces are
+Usage: ``python experiments/compare_criteria.py --out DIR [--quick]``; needs matplotlib. Random surfaces are
 sampled with noise in three ways (`comparison.fields`): every datum with noise of its own, with noise that neighbours
 share, and few data in clusters. Two families of models are selected from by `mexpress.select_surface`:
 

@@ -1,6 +1,6 @@
 """How far from held-out points warps and surfaces are, of mexpress and of other libraries.
 
-Usage: ``python examples/compare_models.py DATA --out DIR [--quick] [--rows A,B] [--methods A,B] [--again]``; needs
+Usage: ``python experiments/compare_models.py DATA --out DIR [--quick] [--rows A,B] [--methods A,B] [--again]``; needs
 scikit-image, scipy, matplotlib and treverhines-rbf. DATA is a directory with any of
 
 sheets/NAME.npz   image_points (views, n, 2) of a sheet that deforms: hulk and kinectpaper

@@ -1,7 +1,7 @@
 """How far from the truth the surfaces are that criteria select for a depth map or a cloud of one's own.
 
-Usage: ``python examples/real_surfaces.py FILE [--scale S] [--data N | --all] [--max-count L] [--criteria A,B,...]``;
-FILE is what `mexpress.clouds.read_cloud` reads. No criterion sees the truth, of which there are two kinds:
+Usage: ``python experiments/real_surfaces.py FILE [--scale S] [--data N | --all] [--max-count L] [--criteria A,B,...]``;
+FILE is what `mexpress.io.clouds.read_cloud` reads. No criterion sees the truth, of which there are two kinds:
 
 near    10,000 of the data, drawn at random, are fitted; the others are all near to some of these. With ``--all`` there
         are no others. If there are fewer data than are wanted, a fifth of them is held out.
@@ -22,7 +22,7 @@ import numpy as np
 from demo_surface import true_errors
 
 import mexpress as mx
-from mexpress.clouds import read_cloud
+from mexpress.io.clouds import read_cloud
 
 CRITERIA = "FIT,PRESS,CMPRESS,KF10,ER01,ER05,ER10,NN01PCT,NN05PCT,NN10PCT,DELAUNAY,AIC,BIC,GCV"
 HOLES = 12

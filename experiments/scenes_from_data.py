@@ -1,6 +1,6 @@
 """Make scenes for ``mexpress reproduce table2 SCENES`` of image pairs with a known homography, and of tracked points.
 
-Usage: ``python examples/scenes_from_data.py DATA SCENES``; needs OpenCV. DATA is a directory with any of
+Usage: ``python experiments/scenes_from_data.py DATA SCENES``; needs OpenCV. DATA is a directory with any of
 
 flat/graf1.png, graf3.png, H1to3p.xml   two images of a plane and the homography between them, as OpenCV ships them
 flat/NAMEA.png, NAMEB.png, NAME_matches.npz   two images, tentative matches (n, 4) and the homography H_A_to_B
@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mexpress.matches import write_matches, write_points_csv
+from mexpress.io.matches import write_matches, write_points_csv
 
 RATIO = 0.8
 """How much nearer than the second nearest descriptor the nearest must be."""

@@ -1,6 +1,6 @@
 """Which wrong matches are found? Some are planted in real matches, and looked for.
 
-    python examples/suspects.py DATA
+    python experiments/suspects.py DATA
 
 DATA is a folder with sheets/*.npz (image_points (views, n, 2), visible (views, n)) and flat/*_matches.npz (tentative
 (n, 4), H_A_to_B (3, 3)). Prints the table of docs/suspects.md.

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.cbook import get_sample_data
 from skimage.transform import ProjectiveTransform
 
-from mexpress.clouds import read_cloud
+from mexpress.io.clouds import read_cloud
 from mexpress.simulation import Configuration, correspondences
 
 SIZE = (640.0, 480.0)

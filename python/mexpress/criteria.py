@@ -37,8 +37,8 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress import schemes
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
-from mexpress.nested import Nested, NestedCurve
+from mexpress.leastsquares.model import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
+from mexpress.leastsquares.nested import Nested, NestedCurve
 from mexpress.placement import covered_region, lattice
 from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone
 
@@ -392,13 +392,13 @@ class Judge:
         Parameters
         ----------
         nested : Nested
-            From `mexpress.nested`, over as many data as there are points.
+            From `mexpress.leastsquares.nested`, over as many data as there are points.
         sizes : (k,) int64 array
             The models' numbers of columns, increasing.
         threads : int, optional
             At most so many threads.
         step : callable, optional
-            Called now and then, as often as `mexpress.nested.steps` says.
+            Called now and then, as often as `mexpress.leastsquares.nested.steps` says.
 
         Returns
         -------
@@ -408,7 +408,7 @@ class Judge:
         Examples
         --------
         >>> from mexpress.criteria import Judge
-        >>> from mexpress.nested import Nested
+        >>> from mexpress.leastsquares.nested import Nested
         >>> import numpy as np
         >>> nested = Nested([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]], [1.0, 3.0, 5.0])
         >>> curves = Judge.of(["FIT", "CMPRESS"], np.eye(3, 2)).curves(nested, np.array([1, 2]))

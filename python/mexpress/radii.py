@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.leastsquares import LeastSquares, cross_validate_all
+from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.placement import covered_region, lattice
 from mexpress.schemes import exclusion_radius
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares import LeastSquares, cross_validate_all
+from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Scheme
 
 __all__ = ["Suspects", "SuspicionWarning", "studentised_squares", "suspects"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hostile import (
+from inputs import (
     ANY_LENGTH,
     ARRAYS,
     BAD_COUNTS,

@@ -183,8 +183,8 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
 
 SURFACE = """
         from mexpress.criteria import Judge
-        from mexpress.designs import nested_surface_design
-        from mexpress.nested import Nested
+        from mexpress.models import nested_surface_design
+        from mexpress.leastsquares.nested import Nested
         points = rng.uniform(0, 1000, (60_000, 2))
         values = np.sin(points[:, 0] / 100) + 0.1 * rng.normal(size=60_000)
 """

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hostile import (
+from inputs import (
     BAD_COUNTS,
     BAD_COUPLINGS,
     BAD_INDICES,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import (
+from refits import (
     COUPLINGS,
     Problem,
     b_spline,

@@ -5,10 +5,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from oracle import Problem, every_scheme, make, pairs
+from refits import Problem, every_scheme, make, pairs
 
 import mexpress as mx
-from mexpress.spectrum import Spectrum
+from mexpress.leastsquares.penalty_path import Spectrum
 
 # In units of the weight at which the penalty is as large as the design; "auto" tries 1e-6 to 1e8 of it. Farther down,
 # 1e-12 say, pairs that lose the design's rank are good to seven digits: predictions that the penalty alone makes.

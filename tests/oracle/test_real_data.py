@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import mexpress as mx
-from mexpress.clouds import read_cloud
-from mexpress.designs import nested_surface_design
+from mexpress.io.clouds import read_cloud
+from mexpress.models import nested_surface_design
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[3] / "shared" / "data"
 FLAT = DATA / "flat"
 
 pytestmark = pytest.mark.skipif(

@@ -5,14 +5,14 @@ import weakref
 
 import numpy as np
 import pytest
-from oracle import Problem
+from refits import Problem
 
 import mexpress as mx
-from mexpress.designs import nested_warp_design, surface_design, warp_design
-from mexpress.leastsquares import LeastSquares
+from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import ThinPlateSpline, lifting_named
+from mexpress.models import nested_warp_design, surface_design, warp_design
 from mexpress.placement import area, covered_region, farthest_first, lloyd
-from mexpress.smoothing import weights_of
+from mexpress.selection.weights import weights_of
 
 RNG = np.random.default_rng(0)
 N = 30

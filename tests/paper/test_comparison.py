@@ -1,7 +1,6 @@
-"""What the comparisons in examples/ rest on: rivals' cross-validation, problems, records and losses."""
+"""What the comparisons in experiments/ rest on: rivals' cross-validation, problems, records and losses."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from scipy.interpolate import RBFInterpolator
 import mexpress as mx
 
 pytest.importorskip("skimage", "0.26")
-sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
 import compare_criteria
 import compare_models

@@ -13,13 +13,13 @@ from scipy.interpolate import LinearNDInterpolator
 import mexpress as mx
 from mexpress import simulation
 from mexpress.cli import main
-from mexpress.clouds import read_cloud
-from mexpress.plotting.panels import plot_fits
-from mexpress.reproduce import EXPERIMENTS, Options
-from mexpress.reproduce.subjects import Subject, read_subject, simulated_depth, simulated_embedding
-from mexpress.reproduce.surfaces import CRITERIA, Fit, true_errors
+from mexpress.io.clouds import read_cloud
+from mexpress.paper import EXPERIMENTS, Options
+from mexpress.paper.figures7to10 import CRITERIA, Fit, true_errors
+from mexpress.paper.plot_panels import plot_fits
+from mexpress.paper.surface_data import Subject, read_subject, simulated_depth, simulated_embedding
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[3] / "shared" / "data"
 FIGURES = ("figure7", "figure8", "figure9", "figure10")
 
 

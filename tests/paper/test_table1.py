@@ -12,18 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import refused
+from inputs import refused
 from matplotlib.image import imread
 
 import mexpress as mx
 from mexpress import simulation
-from mexpress.cli import main, reproduce
-from mexpress.plotting.reproduction import plot_mean_curves, plot_selections
-from mexpress.reproduce import EXPERIMENTS, Experiment, Options, Outcome, table1
-from mexpress.reproduce.claims import claims
-from mexpress.reproduce.paper import CRITERIA, PUBLISHED, SIZES, Cell
-from mexpress.reproduce.records import Records
-from mexpress.reproduce.selections import Comparison, Curves, compared, table
+from mexpress.cli import main
+from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome, table1
+from mexpress.paper import command as reproduce
+from mexpress.paper.plot_table1 import plot_mean_curves, plot_selections
+from mexpress.paper.published import CRITERIA, PUBLISHED, SIZES, Cell
+from mexpress.paper.records import Records
+from mexpress.paper.table1_cells import Comparison, Curves, compared, table
+from mexpress.paper.table1_claims import claims
 
 COLUMNS = {"n": int, "name": str, "count": int, "FIT": float}
 RUN = {"experiment": "trial", "seed": 0, "quick": False}
@@ -111,7 +112,7 @@ def test_records_of_a_run_that_was_killed_are_free(path):
     script = """
 import sys
 from pathlib import Path
-from mexpress.reproduce.records import Records
+from mexpress.paper.records import Records
 path, run, columns = Path(sys.argv[1]), {"experiment": "trial", "seed": 0, "quick": False}, dict(
     n=int, name=str, count=int, FIT=float
 )
@@ -643,7 +644,7 @@ def trial(monkeypatch):
         name: Experiment(name, "tries", data, run)
         for name, data in (("plain", ""), ("dir", "DIR"), ("file", "FILE"))
     }
-    monkeypatch.setattr("mexpress.cli.reproduce.EXPERIMENTS", experiments)
+    monkeypatch.setattr("mexpress.paper.command.EXPERIMENTS", experiments)
     return seen
 
 

@@ -13,17 +13,19 @@ from matplotlib.image import imread
 from skimage.draw import polygon2mask
 
 import mexpress as mx
-from mexpress import reports
 from mexpress.cli import main
-from mexpress.matches import write_matches, write_points_csv
-from mexpress.plotting.scenes import plot_scene
-from mexpress.reproduce import Options, choices, paper, table2
-from mexpress.reproduce.contours import jaccard, outlines, rasterised, resampled, transferred
-from mexpress.reproduce.findings import findings
-from mexpress.reproduce.scenes import SIZES, Problem, Recorded, Simulated, read_scenes
-from mexpress.reproduce.transfer import CRITERIA, trial
+from mexpress.cli import report as reports
+from mexpress.io.matches import write_matches, write_points_csv
+from mexpress.paper import Options, table2
+from mexpress.paper import published as paper
+from mexpress.paper import table2_cells as choices
+from mexpress.paper.contours import jaccard, outlines, rasterised, resampled, transferred
+from mexpress.paper.plot_scenes import plot_scene
+from mexpress.paper.table2_claims import findings
+from mexpress.paper.transfer import CRITERIA, trial
+from mexpress.paper.two_views import SIZES, Problem, Recorded, Simulated, read_scenes
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
 SQUARE = np.array([[10.0, 10], [20, 10], [20, 20], [10, 20]])
 HOMOGRAPHY = np.array([[1.1, 0.1, 20], [-0.05, 0.9, 30], [4e-4, 2e-4, 1]])
@@ -512,7 +514,7 @@ def test_statements_hold_or_do_not():
 
 
 def test_a_misspelt_criterion_is_an_error(monkeypatch):
-    module = importlib.import_module("mexpress.reproduce.findings")
+    module = importlib.import_module("mexpress.paper.table2_claims")
     (first, _, *how), *_ = module._STATEMENTS
     monkeypatch.setattr(module, "_STATEMENTS", [(first, ("ER5",), *how)])
     with pytest.raises(KeyError, match="ER5"):
@@ -696,7 +698,7 @@ def real(tmp_path_factory):
     pytest.importorskip("cv2")  # the example's
     if not DATA.is_dir():
         pytest.skip(f"there is no folder {DATA.parts[-2:]} beside the checkout")
-    path = ROOT / "examples" / "scenes_from_data.py"
+    path = ROOT / "experiments" / "scenes_from_data.py"
     spec = importlib.util.spec_from_file_location("scenes_from_data", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import in_form, refused
+from inputs import in_form, refused
 
 import mexpress as mx
 

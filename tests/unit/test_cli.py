@@ -10,9 +10,9 @@ from matplotlib.image import imsave
 
 import mexpress as mx
 from mexpress.cli import main
-from mexpress.matches import read_points, write_matches
+from mexpress.cli.report import table
+from mexpress.io.matches import read_points, write_matches
 from mexpress.progress import bar
-from mexpress.reports import table
 
 RNG = np.random.default_rng(1)
 SOURCE = RNG.uniform(0, 1, (80, 2)) * [640, 480]

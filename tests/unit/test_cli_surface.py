@@ -8,8 +8,8 @@ from skimage.io import imsave
 
 import mexpress as mx
 from mexpress.cli import main
-from mexpress.clouds import read_cloud
-from mexpress.matches import read_points
+from mexpress.io.clouds import read_cloud
+from mexpress.io.matches import read_points
 
 RNG = np.random.default_rng(2)
 ROWS, COLUMNS = np.mgrid[:30, :40]

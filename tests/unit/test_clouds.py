@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from PIL import Image
 from skimage.io import imsave
 
-from mexpress import tables
-from mexpress.clouds import Cloud, read_cloud
+from mexpress.io import text as tables
+from mexpress.io.clouds import Cloud, read_cloud
 
-SHARED = Path(__file__).parents[2] / "shared" / "data"
+SHARED = Path(__file__).parents[3] / "shared" / "data"
 RNG = np.random.default_rng(0)
 FORM = re.compile(r"^Invalid [\w\[\]]+\. .+ Given .*\.$", re.DOTALL)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import mexpress as mx
 from mexpress.criteria import Judge, parse
-from mexpress.nested import Nested
+from mexpress.leastsquares.nested import Nested
 from mexpress.placement import covered_region, lattice
 from mexpress.selection import largest_count
 

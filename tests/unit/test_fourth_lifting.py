@@ -13,7 +13,7 @@ from test_liftings import scattered
 import mexpress as mx
 from mexpress.liftings import LIFTINGS, make_lifting
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "fourth_lifting.py"
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mexpress.matches import read_matches, read_points, write_matches, write_points_csv
+from mexpress.io.matches import read_matches, read_points, write_matches, write_points_csv
 
 SOURCE = np.array([[1.0, 2.0], [5.0, 6.5], [9.0, -1e-3]])
 TARGET = np.array([[3.0, 4.0], [7.0, 8.0], [0.1, 1e20]])

@@ -2,7 +2,7 @@ import numpy as np
 import plyfile
 import pytest
 
-from mexpress.meshes import write_obj, write_ply
+from mexpress.io.meshes import write_obj, write_ply
 
 VERTICES = np.array([[5e6, 0, 1], [5e6 + 1, 0, 1.25], [5e6, 1, -3], [5e6 + 1, 1, 1 / 3]])
 TRIANGLES = np.array([[0, 1, 2], [1, 3, 2]])

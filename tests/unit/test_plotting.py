@@ -10,8 +10,8 @@ from matplotlib.image import imread
 import mexpress as mx
 from mexpress import plotting
 from mexpress.liftings import ThinPlateSpline
+from mexpress.models.warp import Warp
 from mexpress.plotting import curves, rasters
-from mexpress.warps import Warp
 
 WIDTH, HEIGHT = 160, 100
 RNG = np.random.default_rng(0)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import Problem
+from refits import Problem
 
 import mexpress as mx
-from mexpress.designs import warp_design
 from mexpress.liftings import make_lifting
+from mexpress.models import warp_design
 from mexpress.placement import lloyd
 
 SIZE = (640, 480)

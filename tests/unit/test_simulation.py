@@ -2,7 +2,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from hostile import refused
+from inputs import refused
 from scipy.spatial import ConvexHull, cKDTree
 
 from mexpress import simulation

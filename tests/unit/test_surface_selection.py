@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import Problem
+from refits import Problem
 
 import mexpress as mx
 from mexpress import progress
 from mexpress.criteria import Judge
-from mexpress.designs import nested_surface_design
-from mexpress.nested import Nested
+from mexpress.leastsquares.nested import Nested
+from mexpress.models import nested_surface_design
 from mexpress.schemes import Neighbourhoods
 
 s = mx.schemes

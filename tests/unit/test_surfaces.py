@@ -9,11 +9,10 @@ from test_liftings import bordered, kernel, scattered
 from test_meshes import read_obj
 
 import mexpress as mx
-from mexpress import files
-from mexpress.designs import nested_surface_design
-from mexpress.fitting import fit_surface
 from mexpress.liftings import ThinPlateSpline
-from mexpress.surfaces import Surface
+from mexpress.models import files, nested_surface_design
+from mexpress.models.surface import Surface
+from mexpress.selection.fit import fit_surface
 
 WIDTH, HEIGHT = 640.0, 480.0
 CORNERS = np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, HEIGHT], [0.0, HEIGHT]])

@@ -8,11 +8,11 @@ import skimage.transform
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mexpress.designs import warp_design
-from mexpress.files import load, save
-from mexpress.fitting import fit_warp
 from mexpress.liftings import ThinPlateSpline
-from mexpress.warps import Warp
+from mexpress.models import warp_design
+from mexpress.models.files import load, save
+from mexpress.models.warp import Warp
+from mexpress.selection.fit import fit_warp
 
 WIDTH, HEIGHT = 640, 480
 CORNERS = np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, HEIGHT], [0.0, HEIGHT]])

@@ -14,9 +14,9 @@ from importlib.metadata import version
 
 from mexpress.cli.apply import add_apply
 from mexpress.cli.common import Parser, UsageError
-from mexpress.cli.reproduce import add_reproduce
 from mexpress.cli.surface import add_surface
 from mexpress.cli.warp import add_warp
+from mexpress.paper.command import add_reproduce
 
 __all__ = ["COMMANDS", "main"]
 
@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     --------
     >>> import os, tempfile
     >>> import numpy as np
-    >>> from mexpress.matches import write_matches
+    >>> from mexpress.io.matches import write_matches
     >>> source = np.random.default_rng(0).uniform(0, 100, (30, 2))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_matches(f"{folder}/m.csv", source, source + np.sin(source / 20))

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from mexpress import _validation as check
-from mexpress import files, matches
 from mexpress._validation import Floats
 from mexpress.cli import common
-from mexpress.surfaces import Surface
-from mexpress.warps import Warp
+from mexpress.io import matches
+from mexpress.models import files
+from mexpress.models.surface import Surface
+from mexpress.models.warp import Warp
 
 __all__ = ["add_apply"]
 

@@ -12,10 +12,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mexpress import reports
 from mexpress._validation import Floats
+from mexpress.cli import report as reports
 from mexpress.selection import Selection
-from mexpress.smoothing import AUTO
+from mexpress.selection.weights import AUTO
 
 __all__ = [
     "Parser",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS
-from mexpress.matches import write_rows
+from mexpress.io.matches import write_rows
 from mexpress.selection import Selection
 
 __all__ = ["summary", "table", "versions", "write_curves", "write_summary"]

@@ -12,10 +12,10 @@ import numpy as np
 from mexpress import plotting
 from mexpress._validation import Floats
 from mexpress.cli import common
-from mexpress.clouds import Cloud, read_cloud
+from mexpress.io.clouds import Cloud, read_cloud
+from mexpress.io.text import ARCHIVES
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.selection.surface import MOST
-from mexpress.tables import ARCHIVES
 
 __all__ = ["add_surface"]
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mexpress import matches, plotting
+from mexpress import plotting
 from mexpress.cli import common
-from mexpress.images import read_image
+from mexpress.io import matches
+from mexpress.io.images import read_image
 from mexpress.placement import lattice
 from mexpress.selection import WarpSelection, select_warp
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
-from mexpress import files
 from mexpress._validation import Floats, Integers
+from mexpress.models import files
 
 __all__ = ["write_obj", "write_ply"]
 

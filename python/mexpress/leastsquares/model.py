@@ -92,7 +92,7 @@ class Problem:
 
     Examples
     --------
-    >>> from mexpress.leastsquares import Problem
+    >>> from mexpress.leastsquares.model import Problem
     >>> Problem.of([[1], [1]], [2, 3], weights=[1, 16]).row_weights
     array([0.0625, 1.    ])
     """

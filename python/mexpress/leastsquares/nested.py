@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares import Problem, penalty_rows
+from mexpress.leastsquares.model import Problem, penalty_rows
 from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone, leave_one_out
 
 __all__ = ["cross_validate_nested"]

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mexpress._validation import Floats
-from mexpress.leastsquares import LeastSquares
+from mexpress.leastsquares.model import LeastSquares
 
 __all__ = ["Fitted", "Spectrum"]
 

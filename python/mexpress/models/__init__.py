@@ -5,22 +5,22 @@ in an order: its leading columns are the designs of the first control points, so
 
 Examples
 --------
->>> from mexpress.designs import warp_design
+>>> from mexpress.models import warp_design
 >>> from mexpress.liftings import ThinPlateSpline
 >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
 >>> warp_design(ThinPlateSpline(square), square, square, fractional=False).A.shape
 (4, 4)
 """
 
-from mexpress.designs.design import Design, NestedDesign
-from mexpress.designs.surface import (
+from mexpress.models.design import Design, NestedDesign
+from mexpress.models.surface_design import (
     NestedSurfaceDesign,
     SurfaceDesign,
     measured_data,
     nested_surface_design,
     surface_design,
 )
-from mexpress.designs.warp import NestedWarpDesign, WarpDesign, matched, nested_warp_design, warp_design
+from mexpress.models.warp_design import NestedWarpDesign, WarpDesign, matched, nested_warp_design, warp_design
 
 __all__ = [
     "Design",

@@ -2,7 +2,7 @@
 
 Examples
 --------
-See `mexpress.designs`.
+See `mexpress.models`.
 """
 
 from typing import Protocol, TypeVar

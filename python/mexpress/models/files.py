@@ -2,8 +2,8 @@
 
 Examples
 --------
->>> import mexpress.files
->>> sorted(mexpress.files.KINDS)
+>>> import mexpress.models.files
+>>> sorted(mexpress.models.files.KINDS)
 ['surface', 'warp']
 """
 

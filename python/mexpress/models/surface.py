@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
-from mexpress import files, meshes
 from mexpress._validation import Floats, Integers
+from mexpress.io import meshes
 from mexpress.liftings import Lifting, check_lifting, make_lifting
+from mexpress.models import files
 from mexpress.placement import covered_region
 
 __all__ = ["Surface", "SurfaceGrid"]

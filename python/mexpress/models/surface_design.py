@@ -2,7 +2,7 @@
 
 Examples
 --------
->>> from mexpress.designs import nested_surface_design
+>>> from mexpress.models import nested_surface_design
 >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
 >>> nested_surface_design(square, [0, 2, 2, 4], square)
 NestedSurfaceDesign(4 x 4)
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.liftings import Lifting, ThinPlateSpline, nested_basis, nested_bending
+from mexpress.models.surface import Surface
 from mexpress.placement import covered_region
-from mexpress.surfaces import Surface
 
 __all__ = ["NestedSurfaceDesign", "SurfaceDesign", "measured_data", "nested_surface_design", "surface_design"]
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
-from mexpress import files
 from mexpress._validation import Floats
 from mexpress.liftings import Lifting, check_lifting, make_lifting
+from mexpress.models import files
 from mexpress.placement import covered_region, lattice
 
 __all__ = ["Warp"]

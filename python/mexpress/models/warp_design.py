@@ -2,7 +2,7 @@
 
 Examples
 --------
->>> from mexpress.designs import warp_design
+>>> from mexpress.models import warp_design
 >>> from mexpress.liftings import ThinPlateSpline
 >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
 >>> warp_design(ThinPlateSpline(square), square, square)
@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.liftings import Lifting, ThinPlateSpline, nested_basis, nested_bending
+from mexpress.models.warp import Warp
 from mexpress.placement import covered_region
-from mexpress.warps import Warp
 
 __all__ = ["NestedWarpDesign", "WarpDesign", "matched", "nested_warp_design", "warp_design"]
 

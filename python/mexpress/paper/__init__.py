@@ -2,13 +2,14 @@
 
 Examples
 --------
->>> from mexpress.reproduce import EXPERIMENTS
+>>> from mexpress.paper import EXPERIMENTS
 >>> EXPERIMENTS["table1"].data
 ''
 """
 
-from mexpress.reproduce import surfaces, table1, table2
-from mexpress.reproduce.experiment import Experiment, Options, Outcome
+from mexpress.paper import figures7to10 as surfaces
+from mexpress.paper import table1, table2
+from mexpress.paper.experiment import Experiment, Options, Outcome
 
 __all__ = ["EXPERIMENTS", "Experiment", "Options", "Outcome"]
 

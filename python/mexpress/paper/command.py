@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mexpress import reports
 from mexpress.cli import common
+from mexpress.cli import report as reports
+from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome
 from mexpress.plotting.figures import new_figure
-from mexpress.reproduce import EXPERIMENTS, Experiment, Options, Outcome
 
 __all__ = ["add_reproduce"]
 

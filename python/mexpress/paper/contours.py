@@ -24,7 +24,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 
 if TYPE_CHECKING:
-    from mexpress.warps import Warp
+    from mexpress.models.warp import Warp
 
 __all__ = ["Mask", "Rings", "jaccard", "outlines", "rasterised", "resampled", "transferred"]
 

@@ -2,8 +2,8 @@
 
 Figure 7 shows the criteria against the number of control points, and the control points in the order in which they
 come, of a depth map; figure 8 the surface that each criterion selects. Figures 9 and 10 are the same for an embedding,
-a map from a flat sheet into space. The reader's file may be either, for each of the four: `mexpress.clouds.read_cloud`
-says what it may be. Without a file the data are simulated; then the truth is known, which no criterion sees.
+a map from a flat sheet into space. The reader's file may be either, for each of the four; `mexpress.read_cloud` says
+what it may be. Without a file the data are simulated; then the truth is known, which no criterion sees.
 
 Examples
 --------
@@ -20,14 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from mexpress import criteria, plotting, reports
+from mexpress import criteria, plotting
 from mexpress._validation import Floats
-from mexpress.fitting import fit_surface
+from mexpress.cli import report as reports
 from mexpress.liftings import nested_basis
-from mexpress.reproduce.experiment import Experiment, Options, Outcome
-from mexpress.reproduce.subjects import Subject, read_subject, simulated_depth, simulated_embedding
+from mexpress.models.surface import Surface
+from mexpress.paper.experiment import Experiment, Options, Outcome
+from mexpress.paper.surface_data import Subject, read_subject, simulated_depth, simulated_embedding
 from mexpress.selection import SurfaceSelection, select_surface
-from mexpress.surfaces import Surface
+from mexpress.selection.fit import fit_surface
 
 __all__ = ["ALIKE", "CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10", "Fit", "grouped", "true_errors"]
 
@@ -104,7 +105,7 @@ def true_errors(subject: Subject, control_points: Floats) -> Floats:
 
     Examples
     --------
-    >>> from mexpress.reproduce.subjects import simulated_embedding
+    >>> from mexpress.paper.surface_data import simulated_embedding
     >>> sheet = simulated_embedding(200, seed=0)
     >>> true_errors(sheet, sheet.points[:6]).shape
     (4,)
@@ -218,7 +219,7 @@ def _arrival(name: str, sweep: _Sweep) -> dict[str, Callable[[Path], object]]:
 
 
 def _draw_fits(subject: Subject, fits: Sequence[Fit], path: Path) -> None:
-    from mexpress.plotting.panels import plot_fits  # noqa: PLC0415  it imports this module
+    from mexpress.paper.plot_panels import plot_fits  # noqa: PLC0415  it imports this module
 
     plot_fits(subject, fits, path)
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from mexpress._validation import Floats
+from mexpress.models.surface import Surface
+from mexpress.paper.figures7to10 import Fit, grouped
+from mexpress.paper.surface_data import Subject
 from mexpress.plotting.figures import PathLike, frame, new_figure, percentile, saved, with_unit
 from mexpress.plotting.solids import Solid, View, draw_solid
-from mexpress.reproduce.subjects import Subject
-from mexpress.reproduce.surfaces import Fit, grouped
-from mexpress.surfaces import Surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = Non
     Examples
     --------
     >>> import mexpress as mx
-    >>> from mexpress.reproduce.subjects import simulated_embedding
+    >>> from mexpress.paper.surface_data import simulated_embedding
     >>> sheet = simulated_embedding(200, seed=0)
     >>> surface = mx.fit_surface(sheet.points, sheet.values, sheet.points[:9])
     >>> plot_fits(sheet, [Fit(("CMPRESS", "ER10"), 9, 0.03, 0.02, surface)])

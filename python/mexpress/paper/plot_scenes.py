@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats
+from mexpress.paper.contours import Rings, transferred
+from mexpress.paper.table2_cells import Cell
+from mexpress.paper.transfer import Trial
 from mexpress.plotting import rasters
 from mexpress.plotting.figures import (
     BLUE,
@@ -23,9 +26,6 @@ from mexpress.plotting.figures import (
     new_figure,
     saved,
 )
-from mexpress.reproduce.choices import Cell
-from mexpress.reproduce.contours import Rings, transferred
-from mexpress.reproduce.transfer import Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,8 +80,8 @@ def plot_scene(
 
     Examples
     --------
-    >>> from mexpress.reproduce.scenes import Simulated
-    >>> from mexpress.reproduce.transfer import trial
+    >>> from mexpress.paper.two_views import Simulated
+    >>> from mexpress.paper.transfer import trial
     >>> problem = Simulated("flat", "affine").draw(51, seed=0)
     >>> plot_scene({"linear": trial(problem, False, [3, 4], criteria=["PRESS"])}, "a flat scene")
     <Figure size ...>

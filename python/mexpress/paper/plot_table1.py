@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mexpress.paper.table1_cells import Comparison, Curves
 from mexpress.plotting.figures import (
     BLUE,
     GRAY,
@@ -19,7 +20,6 @@ from mexpress.plotting.figures import (
     new_figure,
     saved,
 )
-from mexpress.reproduce.selections import Comparison, Curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +110,7 @@ def plot_selections(comparisons: Sequence[Comparison], path: PathLike | None = N
     Parameters
     ----------
     comparisons : sequence of Comparison
-        From `mexpress.reproduce.selections.compared`.
+        From `mexpress.paper.table1_cells.compared`.
     path : str or path, optional
         Where to save the figure.
 

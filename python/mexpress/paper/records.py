@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
-from mexpress import files, reports
-from mexpress.reproduce.locks import Lock
+from mexpress.cli import report as reports
+from mexpress.models import files
+from mexpress.paper.locks import Lock
 
 __all__ = ["Records"]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.clouds import read_cloud
+from mexpress.io.clouds import read_cloud
 from mexpress.simulation import Sheet
 
 __all__ = ["Subject", "read_subject", "simulated_depth", "simulated_embedding"]
@@ -91,7 +91,7 @@ class Subject:
 
 
 def read_subject(path: Path, most: int, seed: int) -> Subject:
-    """Read a depth map or an embedding, as `mexpress.clouds.read_cloud` tells them apart.
+    """Read a depth map or an embedding, as `mexpress.io.clouds.read_cloud` tells them apart.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def read_subject(path: Path, most: int, seed: int) -> Subject:
     Raises
     ------
     ValueError, OSError, ImportError
-        As `mexpress.clouds.read_cloud` does.
+        As `mexpress.io.clouds.read_cloud` does.
 
     Examples
     --------

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from mexpress import simulation
 from mexpress.batch import map_problems
-from mexpress.matches import write_rows
-from mexpress.plotting import reproduction as plotting
-from mexpress.reproduce.claims import claims
-from mexpress.reproduce.experiment import Experiment, Options, Outcome
-from mexpress.reproduce.paper import CRITERIA, SIZES
-from mexpress.reproduce.records import Records
-from mexpress.reproduce.selections import Comparison, Curves, compared, table
+from mexpress.io.matches import write_rows
+from mexpress.paper import plot_table1 as plotting
+from mexpress.paper.experiment import Experiment, Options, Outcome
+from mexpress.paper.published import CRITERIA, SIZES
+from mexpress.paper.records import Records
+from mexpress.paper.table1_cells import Comparison, Curves, compared, table
+from mexpress.paper.table1_claims import claims
 from mexpress.selection import WarpSelection, largest_count, select_warp
 from mexpress.simulation import Configuration, Correspondences
 

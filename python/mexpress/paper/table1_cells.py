@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mexpress._validation import Floats, Integers
-from mexpress.reproduce.paper import PUBLISHED, Cell
+from mexpress.paper.published import PUBLISHED, Cell
 
 __all__ = ["Comparison", "Curves", "compared", "table"]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mexpress.reproduce.paper import LOCAL
-from mexpress.reproduce.selections import Curves
+from mexpress.paper.published import LOCAL
+from mexpress.paper.table1_cells import Curves
 from mexpress.selection import largest_count
 
 __all__ = ["Claim", "claims"]

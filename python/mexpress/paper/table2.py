@@ -2,7 +2,7 @@
 
 Every criterion selects the number of control points of fractional warps and, for contrast, of linear ones, from 51, 103
 and 206 matches; the Jaccard index then tells how well the selected warp transfers a contour, of which no criterion
-knows. Without data the scenes are simulated, with affine and with perspective cameras; `mexpress.reproduce.scenes`
+knows. Without data the scenes are simulated, with affine and with perspective cameras; `mexpress.paper.two_views`
 tells what a reader's directory holds. Where no contour is known, the error at matches that were left out tells instead.
 
 Examples
@@ -23,14 +23,14 @@ import numpy as np
 
 from mexpress import _validation as check
 from mexpress.batch import map_problems
-from mexpress.matches import write_rows
-from mexpress.plotting import scenes as plotting
-from mexpress.reproduce.choices import BEST, COLUMNS, KEY, Cell, Choice, Table, cells, choices, losses, table
-from mexpress.reproduce.experiment import Experiment, Options, Outcome
-from mexpress.reproduce.findings import findings
-from mexpress.reproduce.records import Records
-from mexpress.reproduce.scenes import Recorded, Scene, Simulated, digest, read_scenes
-from mexpress.reproduce.transfer import Trial, trial
+from mexpress.io.matches import write_rows
+from mexpress.paper import plot_scenes as plotting
+from mexpress.paper.experiment import Experiment, Options, Outcome
+from mexpress.paper.records import Records
+from mexpress.paper.table2_cells import BEST, COLUMNS, KEY, Cell, Choice, Table, cells, choices, losses, table
+from mexpress.paper.table2_claims import findings
+from mexpress.paper.transfer import Trial, trial
+from mexpress.paper.two_views import Recorded, Scene, Simulated, digest, read_scenes
 from mexpress.selection import largest_count
 from mexpress.simulation.scenes import KINDS, PROJECTIONS
 

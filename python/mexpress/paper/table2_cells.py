@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats
-from mexpress.reproduce.transfer import CRITERIA, MEASURES
+from mexpress.paper.transfer import CRITERIA, MEASURES
 
 __all__ = ["BEST", "COLUMNS", "KEY", "Cell", "Choice", "Table", "cells", "choices", "losses", "table"]
 
@@ -56,7 +56,7 @@ class Choice:
     count, largest : int
         The chosen number of control points, and the largest one tried.
     fit, jaccard, transfer : float
-        There: see `mexpress.reproduce.transfer.Trial`; NaN if unknown.
+        There: see `mexpress.paper.transfer.Trial`; NaN if unknown.
     lost : bool
         Whether the denominator vanishes on the contour there.
     """

@@ -4,7 +4,7 @@ A statement holds if it is true in nine of ten of the cells that it is about.
 
 Examples
 --------
->>> from mexpress.reproduce.choices import Choice, cells
+>>> from mexpress.paper.table2_cells import Choice, cells
 >>> made = [Choice("flat-affine", "linear", 51, 0, "FIT", 26, 26, 1.0, 0.95, 9.0)]
 >>> findings(cells(made), {"flat-affine": "flat"}, {"flat-affine": "affine"})[0].text
 'holds: FIT alone takes nearly all control points that it may have, 90 % at least (in 1 of 1 cells)'
@@ -17,10 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from mexpress.reproduce.choices import Cell
-from mexpress.reproduce.claims import Claim
-from mexpress.reproduce.paper import LOCAL
-from mexpress.reproduce.transfer import CRITERIA
+from mexpress.paper.published import LOCAL
+from mexpress.paper.table1_claims import Claim
+from mexpress.paper.table2_cells import Cell
+from mexpress.paper.transfer import CRITERIA
 
 __all__ = ["HOLDS", "findings"]
 

@@ -2,7 +2,7 @@
 
 Examples
 --------
->>> from mexpress.reproduce.scenes import Simulated
+>>> from mexpress.paper.two_views import Simulated
 >>> judged = trial(Simulated("flat", "perspective").draw(51, seed=0), True, range(3, 8), criteria=["ER10"])
 >>> bool(judged.jaccard[0] > 0.99), bool(judged.transfer[0] < 2)
 (True, True)
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mexpress._validation import Floats
+from mexpress.models.warp import Warp
+from mexpress.paper import published as paper
+from mexpress.paper.contours import Mask, jaccard, rasterised, transferred
+from mexpress.paper.two_views import Problem
 from mexpress.placement import lattice
-from mexpress.reproduce import paper
-from mexpress.reproduce.contours import Mask, jaccard, rasterised, transferred
-from mexpress.reproduce.scenes import Problem
 from mexpress.selection import WarpSelection, select_warp
-from mexpress.warps import Warp
 
 __all__ = ["CRITERIA", "MEASURES", "Trial", "trial"]
 
@@ -74,7 +74,7 @@ class Trial:
 
         Examples
         --------
-        >>> from mexpress.reproduce.scenes import Simulated
+        >>> from mexpress.paper.two_views import Simulated
         >>> problem = Simulated("flat", "affine").draw(51, seed=0)
         >>> list(trial(problem, False, [3], criteria=["FIT"]).measures())
         ['JACCARD', 'TRANSFER', 'LOST', 'FOLDED', 'VANISHING']

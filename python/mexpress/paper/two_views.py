@@ -3,7 +3,7 @@
 A reader's directory holds a scene, or several, each known by the name of its file of matches:
 
 =====================================  ===============================================================================
-``NAME.csv`` (.txt, .npz, .npy)        matches x1 y1 x2 y2 in pixels, see `mexpress.matches.read_matches`; no wrong ones
+``NAME.csv`` (.txt, .npz, .npy)        matches x1 y1 x2 y2 in pixels, as `mexpress.io.matches` reads them; no wrong ones
 ``NAME_source_contour.csv`` (.txt)     optional: closed polygon x y around an object in the source image
 ``NAME_target_contour.csv`` (.txt)     the same object's polygon in the target image, corners and their number at will
 ``NAME_source_mask.png``               instead of a contour: an image of the source's size, nonzero on the object
@@ -40,10 +40,10 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress import simulation
 from mexpress._validation import Floats
-from mexpress.images import read_image
-from mexpress.matches import read_matches, read_points
+from mexpress.io.images import read_image
+from mexpress.io.matches import read_matches, read_points
+from mexpress.paper.contours import Rings, outlines, rasterised, resampled
 from mexpress.placement import covered_region, lattice
-from mexpress.reproduce.contours import Rings, outlines, rasterised, resampled
 from mexpress.simulation.scenes import KINDS
 
 __all__ = ["SIZES", "Problem", "Recorded", "Scene", "Simulated", "digest", "read_scenes"]
@@ -303,7 +303,7 @@ def read_scenes(folder: Path) -> list[Recorded]:
     Examples
     --------
     >>> import tempfile
-    >>> from mexpress.matches import write_matches
+    >>> from mexpress.io.matches import write_matches
     >>> points = np.random.default_rng(0).uniform(0, 100, (60, 2))
     >>> with tempfile.TemporaryDirectory() as name:
     ...     write_matches(f"{name}/still.csv", points, points)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
+from mexpress.models.surface import Surface
 from mexpress.plotting.figures import percentile, with_unit
-from mexpress.surfaces import Surface
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]

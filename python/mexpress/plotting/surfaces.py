@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.models.surface import Surface
 from mexpress.plotting.figures import (
     BLUE,
     RED,
@@ -22,7 +23,6 @@ from mexpress.plotting.figures import (
 )
 from mexpress.plotting.solids import Solid, draw_solid
 from mexpress.selection import SurfaceSelection
-from mexpress.surfaces import Surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

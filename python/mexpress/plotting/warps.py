@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from mexpress.warps import Warp
+    from mexpress.models.warp import Warp
 
 __all__ = ["plot_registration", "plot_warp"]
 

@@ -5,7 +5,7 @@ Examples
 See `select_warp` and `select_surface`.
 """
 
-from mexpress.selection.models import largest_count
+from mexpress.selection.candidates import largest_count
 from mexpress.selection.selection import Selection
 from mexpress.selection.surface import SurfaceSelection, select_surface
 from mexpress.selection.warp import WarpSelection, select_warp

@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, parse
-from mexpress.designs import Design, NestedDesign
+from mexpress.leastsquares.nested import steps
 from mexpress.liftings import Lifting
-from mexpress.nested import steps
+from mexpress.models import Design, NestedDesign
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
-from mexpress.smoothing import is_auto
-from mexpress.sweeps import Model, Sweep, one_by_one, together
+from mexpress.selection.sweep import Model, Sweep, one_by_one, together
+from mexpress.selection.weights import is_auto
 
 __all__ = ["Jury", "Models", "default_criterion", "largest_count", "most_of", "slack_of", "wished_counts"]
 
@@ -62,7 +62,7 @@ def most_of(n: int, functions: int) -> int:
 
     Examples
     --------
-    >>> from mexpress.selection.models import most_of
+    >>> from mexpress.selection.candidates import most_of
     >>> most_of(60, 3), most_of(5000, 3)
     (60, 300)
     """
@@ -76,7 +76,7 @@ def slack_of(smoothing: Any, n: int) -> float:
 
     Examples
     --------
-    >>> from mexpress.selection.models import slack_of
+    >>> from mexpress.selection.candidates import slack_of
     >>> slack_of(0.0, 50), round(slack_of("auto", 50), 4)
     (0.0, 0.01)
     """
@@ -88,7 +88,7 @@ def default_criterion(criterion: str | None, smoothing: Any) -> str:
 
     Examples
     --------
-    >>> from mexpress.selection.models import default_criterion
+    >>> from mexpress.selection.candidates import default_criterion
     >>> default_criterion(None, 0.0), default_criterion(None, "auto"), default_criterion("GCV", "auto")
     ('ER10', 'MATCHED', 'GCV')
     """
@@ -210,7 +210,7 @@ def wished_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | Non
 
     Examples
     --------
-    >>> from mexpress.selection.models import wished_counts
+    >>> from mexpress.selection.candidates import wished_counts
     >>> wished_counts(range(5, 2, -1), 20, "matches")
     array([3, 4, 5])
     """

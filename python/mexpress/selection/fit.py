@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.criteria import Judge, parse
-from mexpress.designs import Design, matched, measured_data, surface_design, warp_design
 from mexpress.liftings import make_lifting
+from mexpress.models import Design, matched, measured_data, surface_design, warp_design
+from mexpress.models.surface import Surface
+from mexpress.models.warp import Warp
 from mexpress.placement import area
-from mexpress.selection.models import Jury, default_criterion, slack_of
+from mexpress.selection.candidates import Jury, default_criterion, slack_of
 from mexpress.selection.selection import of_sweep
-from mexpress.smoothing import weights_of
-from mexpress.surfaces import Surface
-from mexpress.sweeps import Model, one_by_one
-from mexpress.warps import Warp
+from mexpress.selection.sweep import Model, one_by_one
+from mexpress.selection.weights import weights_of
 
 __all__ = ["fit_surface", "fit_warp"]
 

@@ -19,15 +19,15 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.criteria import Judge
-from mexpress.designs import Design
-from mexpress.leastsquares import LeastSquares
+from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import Lifting
+from mexpress.models import Design
 from mexpress.placement import covered_region
 from mexpress.radii import RadiusCurve, score_by_radius
 from mexpress.schemes import exclusion_radius
 from mexpress.selection.selection import Selection
+from mexpress.selection.sweep import Model, penalised
 from mexpress.suspicion import Suspects, suspects
-from mexpress.sweeps import Model, penalised
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

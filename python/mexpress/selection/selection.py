@@ -17,7 +17,7 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
-from mexpress.sweeps import Model, Sweep
+from mexpress.selection.sweep import Model, Sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

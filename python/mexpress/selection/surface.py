@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.designs import SurfaceDesign, measured_data, nested_surface_design, surface_design
 from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
+from mexpress.models import SurfaceDesign, measured_data, nested_surface_design, surface_design
+from mexpress.models.surface import Surface
 from mexpress.placement import area, by_residual, farthest_first
 from mexpress.schemes import Scheme
-from mexpress.selection.doubt import ModelSelection
-from mexpress.selection.models import Jury, Models, default_criterion, most_of, slack_of
+from mexpress.selection.candidates import Jury, Models, default_criterion, most_of, slack_of
+from mexpress.selection.fitted import ModelSelection
 from mexpress.selection.selection import of_sweep
-from mexpress.smoothing import is_auto, weights_of
-from mexpress.surfaces import Surface
+from mexpress.selection.weights import is_auto, weights_of
 
 __all__ = ["SurfaceSelection", "select_surface"]
 

@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike
 
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import Judge, Score
-from mexpress.designs import Design, NestedDesign
-from mexpress.leastsquares import LeastSquares
-from mexpress.nested import Nested
-from mexpress.spectrum import Fitted, Spectrum
+from mexpress.leastsquares.model import LeastSquares
+from mexpress.leastsquares.nested import Nested
+from mexpress.leastsquares.penalty_path import Fitted, Spectrum
+from mexpress.models import Design, NestedDesign
 
 __all__ = ["Sweep", "one_by_one", "penalised", "together"]
 
@@ -78,7 +78,7 @@ def penalised(
 
     Examples
     --------
-    >>> from mexpress.designs import surface_design
+    >>> from mexpress.models import surface_design
     >>> from mexpress.liftings import ThinPlateSpline
     >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
     >>> penalised(surface_design(ThinPlateSpline(square), square, [0, 2, 2, 4]), 1.0).rank
@@ -150,7 +150,7 @@ def together(
 ) -> Sweep[Model]:
     """Judge all leading parts of a nested design.
 
-    For each weight, `step` is called as often as `mexpress.nested.steps` says.
+    For each weight, `step` is called as often as `mexpress.leastsquares.nested.steps` says.
 
     Examples
     --------

@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.designs import WarpDesign, matched, nested_warp_design, warp_design
 from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
+from mexpress.models import WarpDesign, matched, nested_warp_design, warp_design
+from mexpress.models.warp import Warp
 from mexpress.placement import area, covered_region, farthest_first
 from mexpress.schemes import Scheme
-from mexpress.selection.doubt import ModelSelection
-from mexpress.selection.models import (
+from mexpress.selection.candidates import (
     Jury,
     Models,
     default_criterion,
@@ -31,9 +31,9 @@ from mexpress.selection.models import (
     slack_of,
     wished_counts,
 )
+from mexpress.selection.fitted import ModelSelection
 from mexpress.selection.selection import of_sweep
-from mexpress.smoothing import is_auto, weights_of
-from mexpress.warps import Warp
+from mexpress.selection.weights import is_auto, weights_of
 
 __all__ = ["WarpSelection", "select_warp"]
 

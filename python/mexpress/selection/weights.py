@@ -2,7 +2,7 @@
 
 Examples
 --------
->>> from mexpress.smoothing import weights_of
+>>> from mexpress.selection.weights import weights_of
 >>> weights_of([10, 1], 50, 1e4, 20)
 array([ 1., 10.])
 """
