@@ -42,9 +42,10 @@ from threadpoolctl import threadpool_limits
 from versus import CORES, REST, THREADS, MatrixProduct, describe_machine, show, span
 
 import mexpress as mx
-from mexpress.criteria import Judge
+from mexpress.criteria import Scorer
 from mexpress.io.clouds import read_cloud
-from mexpress.models import nested_surface_design
+from mexpress.models import NestedBasis
+from mexpress.selection.data import Samples
 
 LOCAL = ("ER01", "ER05", "ER10", "NN01PCT", "NN05PCT", "NN10PCT")
 CRITERIA = ("ER10", "ER01", "ER05", "NN01PCT", "NN05PCT", "NN10PCT", "PRESS", "AIC", "BIC")
@@ -101,7 +102,7 @@ def models(setting: Setting) -> None:
     control_points = mx.select_surface(points, b, "FIT", ["FIT"], p).control_points
     designs = {
         "random": rng.standard_normal((n, p)),
-        "thin-plate spline": nested_surface_design(points, b, control_points).A,
+        "thin-plate spline": Samples.of(points, b).design(NestedBasis(control_points)).A,
     }
     rows = [
         row
@@ -165,10 +166,10 @@ def surface(setting: Setting) -> None:
     runs = run_sweeps(points, values, setting, product)
     counts = runs[CORES][0]["counts"]
     show_sweeps(f"{source}, n = {len(points):,}, l = {counts[0]} .. {counts[-1]}", runs, product)
-    schemes = Judge.of(LOCAL, points).schemes
+    schemes = Scorer.of(LOCAL, points).schemes
     show_work(schemes, counts[-1], len(points), runs, product)
     control_points = mx.select_surface(points, values, "FIT", ["FIT"], setting.most).control_points
-    A = nested_surface_design(points, values, control_points).A
+    A = Samples.of(points, values).design(NestedBasis(control_points)).A
     # In a hole of the training rows, predictions of the largest models have fewer digits; real data have such holes.
     problem = Problem(A, values, schemes, np.array(counts), 1e-4 if setting.data else 1e-7)
     show_others(problem, runs, setting)

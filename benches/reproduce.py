@@ -27,20 +27,19 @@ from versus import CORES, REST, describe_machine, show, span
 
 import mexpress as mx
 from mexpress import simulation
-from mexpress.criteria import Judge
+from mexpress.criteria import Scorer
 from mexpress.liftings import lifting
+from mexpress.models import design
 from mexpress.paper import table1
 from mexpress.paper.published import CRITERIA, SIZES
-from mexpress.selection import candidates as models
-from mexpress.selection import sweep as sweeps
-from mexpress.selection import warp
+from mexpress.selection import candidates, data
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "simulation": [(simulation, "correspondences")],
-    "placement": [(warp, "covered_region"), (lifting, "lloyd")],
-    "design": [(warp, "warp_design")],
-    "factor": [(sweeps, "LeastSquares")],
-    "criteria": [(models.Jury, "judge"), (Judge, "scores")],
+    "placement": [(data, "hull"), (lifting, "lloyd")],
+    "design": [(data.Matches, "design")],
+    "factor": [(design, "LeastSquares")],
+    "criteria": [(candidates.CriteriaRequest, "scorer"), (Scorer, "scores")],
     "TEST": [(table1, "_test_errors")],
 }
 """The functions of every stage, and where they are called from."""

@@ -15,7 +15,7 @@ import numpy as np
 
 import mexpress as mx
 from mexpress import simulation
-from mexpress.selection.weights import weights_of
+from mexpress.selection.weights import smoothing_weights
 
 COUNTS = range(3, 63)
 CRITERIA = ["FIT", "CMPRESS"]
@@ -38,7 +38,7 @@ def bent(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def time_map() -> None:
     source, target = bent(2000)
-    weights = weights_of("auto", len(source), 640.0 * 480.0, COUNTS[-1])
+    weights = smoothing_weights("auto", len(source), 640.0 * 480.0, COUNTS[-1])
 
     def sweep(**options: object) -> Callable[[], object]:
         return lambda: mx.select_warp(

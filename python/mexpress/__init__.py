@@ -13,13 +13,18 @@ from importlib.metadata import version
 from mexpress import criteria, schemes
 from mexpress.batch import map_problems
 from mexpress.io.clouds import Cloud, read_cloud
-from mexpress.leastsquares.model import CrossValidation, LeastSquares, RankLossWarning
-from mexpress.leastsquares.nested import cross_validate_nested
+from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
+from mexpress.models import Surface, Warp
 from mexpress.models.files import load
-from mexpress.models.surface import Surface
-from mexpress.models.warp import Warp
-from mexpress.selection import Selection, SurfaceSelection, WarpSelection, select_surface, select_warp
-from mexpress.selection.fit import fit_surface, fit_warp
+from mexpress.selection import (
+    Selection,
+    SurfaceSelection,
+    WarpSelection,
+    fit_surface,
+    fit_warp,
+    select_surface,
+    select_warp,
+)
 
 __all__ = [
     "Cloud",

@@ -8,8 +8,8 @@ KFkk                    kk random folds, equation (9)
 ERxx                    local exclusion of all within xx % of the diagonal, equations (12, 13); decimals allowed
 NNxxPTS, NNxxPCT        local exclusion of the xx nearest, or xx % of the data, the datum itself counted
 DELAUNAY                local exclusion of the neighbours in the Delaunay triangulation
-MATCHED                 local exclusion of so many near data that predictions reach as far as from the data's region,
-                        sampled evenly, to the data: `mexpress.schemes.matched`
+MATCHED                 local exclusion of just enough near data that a validated datum is as far from its training
+                        data as a typical place of the region is from the data: `mexpress.schemes.matched`
 LPOxx                   sets of xx data, at most 1000 of them, drawn at random
 RSxxPCT                 random xx % of the data, 100 times
 AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) for parameters
@@ -28,21 +28,25 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from mexpress import _validation as check
 from mexpress import schemes
 from mexpress._validation import Floats, Integers
+from mexpress.geometry import Region, hull, lattice
+from mexpress.geometry import diagonal as _diagonal
+from mexpress.index_sets import IndexSets, singletons
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.leastsquares.nested import Nested, NestedCurve
-from mexpress.placement import covered_region, lattice
-from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone
+from mexpress.schemes import LazyNeighbourhoods, Places, Scheme
 
-__all__ = ["UNITLESS", "Criterion", "Judge", "Score", "parse"]
+__all__ = ["UNITLESS", "Criterion", "Domain", "Score", "Scorer", "parse"]
 
 UNITLESS = frozenset({"AIC", "BIC"})
 """Criteria without a unit."""
@@ -70,14 +74,44 @@ class Criterion:
     amount: float = 0.0
 
 
-@dataclass(frozen=True)
-class Data:
-    """What the schemes of a sweep are made of: where the data are, how large the domain is, and a seed."""
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """What the schemes of a sweep are made of: where the data are, how large the domain is, and a seed.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Where the data are, checked.
+    diagonal : float
+        What ERxx is a percentage of.
+    known_region : Region, optional
+        What the points cover; found when it is needed if not given.
+    seed : int
+        Of the random schemes.
+    threads : int
+        At most so many threads.
+
+    Examples
+    --------
+    >>> Domain(np.eye(3, 2), 1.0).places.nearest(2)
+    Scheme(3 pairs over 3 data, 2 held out)
+    """
 
     points: Floats
     diagonal: float
-    seed: Any
-    threads: int
+    known_region: Region | None = None
+    seed: Any = 0
+    threads: int = 1
+
+    @cached_property
+    def places(self) -> Places:
+        """The points, to be asked who is near whom."""
+        return Places(self.points)
+
+    @property
+    def region(self) -> Region:
+        """What the points cover."""
+        return self.known_region or Region(hull(self.points, "points"))
 
 
 def _share(percent: float, n: int) -> int:
@@ -85,41 +119,39 @@ def _share(percent: float, n: int) -> int:
     return max(1, math.floor(percent * n / 100 + 0.5))
 
 
-def _over_domain(data: Data) -> Scheme:
+def _matched(domain: Domain) -> Scheme:
     """Distances matched to those from the region that the data cover."""
-    queries = lattice(covered_region(data.points), max(LEAST_QUERIES, len(data.points)))
-    return schemes.matched(data.points, queries, threads=data.threads)
+    queries = lattice(domain.region.corners, max(LEAST_QUERIES, len(domain.points)))
+    return domain.places.matched(queries, threads=domain.threads)
 
 
-SCHEMES: dict[str, Callable[[float, Data], Scheme]] = {
-    "CMPRESS": lambda _, data: schemes.leave_one_out(len(data.points)),
-    "KF": lambda k, data: schemes.k_fold(len(data.points), int(k), data.seed),
-    "ER": lambda percent, data: schemes.exclusion_radius(
-        data.points, percent / 100 * data.diagonal, data.threads
+SCHEMES: dict[str, Callable[[float, Domain], Scheme]] = {
+    "CMPRESS": lambda _, domain: schemes.leave_one_out(len(domain.points)),
+    "KF": lambda k, domain: schemes.k_fold(len(domain.points), int(k), domain.seed),
+    "ER": lambda percent, domain: domain.places.within(percent / 100 * domain.diagonal, domain.threads),
+    "NN..PTS": lambda k, domain: domain.places.nearest(int(k), domain.threads),
+    "NN..PCT": lambda percent, domain: domain.places.nearest(
+        _share(percent, len(domain.points)), domain.threads
     ),
-    "NN..PTS": lambda k, data: schemes.nearest(data.points, int(k), data.threads),
-    "NN..PCT": lambda percent, data: schemes.nearest(
-        data.points, _share(percent, len(data.points)), data.threads
-    ),
-    "DELAUNAY": lambda _, data: schemes.delaunay(data.points),
-    "MATCHED": lambda _, data: _over_domain(data),
-    "LPO": lambda p, data: schemes.leave_p_out(len(data.points), int(p), LEAVE_P_OUT_SETS, data.seed),
-    "RS..PCT": lambda percent, data: schemes.random_sampling(
-        len(data.points), _share(percent, len(data.points)), RANDOM_REPEATS, data.seed
+    "DELAUNAY": lambda _, domain: domain.places.delaunay(),
+    "MATCHED": lambda _, domain: _matched(domain),
+    "LPO": lambda p, domain: schemes.leave_p_out(len(domain.points), int(p), LEAVE_P_OUT_SETS, domain.seed),
+    "RS..PCT": lambda percent, domain: schemes.random_sampling(
+        len(domain.points), _share(percent, len(domain.points)), RANDOM_REPEATS, domain.seed
     ),
 }
 
 
-NEIGHBOURHOODS: dict[str, Callable[[float, Data], Neighbourhoods]] = {
-    "ER": lambda percent, data: Neighbourhoods.within(data.points, percent / 100 * data.diagonal),
-    "NN..PTS": lambda k, data: Neighbourhoods.nearest(data.points, int(k)),
-    "NN..PCT": lambda percent, data: Neighbourhoods.nearest(data.points, _share(percent, len(data.points))),
+NEIGHBOURHOODS: dict[str, Callable[[float, Domain], LazyNeighbourhoods]] = {
+    "ER": lambda percent, domain: domain.places.lazily_within(percent / 100 * domain.diagonal),
+    "NN..PTS": lambda k, domain: domain.places.lazily_nearest(int(k)),
+    "NN..PCT": lambda percent, domain: domain.places.lazily_nearest(_share(percent, len(domain.points))),
 }
 """Of the schemes above, those that need not be listed."""
 
 
 @dataclass(frozen=True)
-class Fit:
+class FitSummary:
     """What information criteria look at: E, and how many parameters, measurements and data there are.
 
     Several responses that share a design are as many measurements, and take as many parameters.
@@ -144,20 +176,20 @@ class Fit:
         return share if share > 1e-12 else math.nan
 
 
-def _aic(fit: Fit) -> float:
+def _aic(fit: FitSummary) -> float:
     return fit.n_rows * fit.log_rss + 2 * fit.parameters if fit.free > 0 else math.nan
 
 
-def _bic(fit: Fit) -> float:
+def _bic(fit: FitSummary) -> float:
     return fit.n_rows * fit.log_rss + math.log(fit.n_rows) * fit.parameters if fit.free > 0 else math.nan
 
 
-def _gcv(fit: Fit) -> float:
+def _gcv(fit: FitSummary) -> float:
     """Its root, so that it stands beside the prediction errors."""
     return fit.rms / fit.free
 
 
-FORMULAS: dict[str, Callable[[Fit], float]] = {
+FORMULAS: dict[str, Callable[[FitSummary], float]] = {
     "FIT": lambda fit: fit.rms,
     "AIC": _aic,
     "BIC": _bic,
@@ -234,7 +266,7 @@ class Score:
     >>> import mexpress as mx
     >>> import numpy as np
     >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
-    >>> mx.criteria.Judge.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].undefined
+    >>> mx.criteria.Scorer.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].undefined
     array([], dtype=int64)
     """
 
@@ -243,7 +275,7 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Judge:
+class Scorer:
     """Criteria made ready for one set of data: schemes are built once and serve every model of a sweep.
 
     Parameters
@@ -252,20 +284,20 @@ class Judge:
         By name; None for a scheme that the user gave.
     schemes : dict of str to Scheme
         Of those criteria that have one.
-    neighbourhoods : dict of str to Neighbourhoods
+    neighbourhoods : dict of str to LazyNeighbourhoods
         In their place for nested models, see `of`.
 
     Examples
     --------
-    >>> from mexpress.criteria import Judge
+    >>> from mexpress.criteria import Scorer
     >>> import numpy as np
-    >>> Judge.of(["fit", "ER10"], np.random.default_rng(0).uniform(size=(30, 2)))
-    Judge(FIT, ER10)
+    >>> Scorer.of(["fit", "ER10"], np.random.default_rng(0).uniform(size=(30, 2)))
+    Scorer(FIT, ER10)
     """
 
     criteria: dict[str, Criterion | None]
     schemes: dict[str, Scheme]
-    neighbourhoods: dict[str, Neighbourhoods] = field(default_factory=dict)
+    neighbourhoods: dict[str, LazyNeighbourhoods] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -276,7 +308,7 @@ class Judge:
         seed: Any = 0,
         threads: int | None = None,
         nested: bool = False,
-    ) -> Judge:
+    ) -> Scorer:
         """Build the schemes that criteria need.
 
         Parameters
@@ -303,39 +335,37 @@ class Judge:
         --------
         >>> import mexpress as mx
         >>> import numpy as np
-        >>> mx.criteria.Judge.of({"pairs": mx.schemes.from_sets([[0, 1], [2, 3]])}, np.eye(4, 2))
-        Judge(pairs)
+        >>> mx.criteria.Scorer.of({"pairs": mx.schemes.from_sets([[0, 1], [2, 3]])}, np.eye(4, 2))
+        Scorer(pairs)
         """
+        check.generator(seed)
+        size = _diagonal(points) if diagonal is None else diagonal
+        return cls.over(criteria, Domain(points, size, None, seed, check.threads(threads)), nested)
+
+    @classmethod
+    def over(
+        cls, criteria: Sequence[str] | Mapping[str, Scheme], domain: Domain, nested: bool = False
+    ) -> Scorer:
+        """Build the schemes that criteria need over a domain, see `of`."""
         rule = "It must be a list of names, or schemes by name."
         if isinstance(criteria, Mapping):
-            for name, scheme in criteria.items():
-                if not (isinstance(name, str) and isinstance(scheme, Scheme)):
-                    check.refuse("criteria", rule, check.describe({name: scheme}), TypeError)
-                if scheme.n_data != len(points):
-                    of_these = f"Its schemes must be over the {len(points)} data."
-                    check.refuse("criteria", of_these, f"{name!r} over {scheme.n_data} data")
-                if _find(name) is not None:
-                    own = "A scheme of one's own must not have the name of a criterion."
-                    check.refuse("criteria", own, check.describe(name))
+            _check_own_schemes(criteria, len(domain.points), rule)
             return cls(dict.fromkeys(criteria), dict(criteria))
-        whole = float(np.hypot(*np.ptp(points, axis=0))) if diagonal is None else diagonal
-        check.generator(seed)
-        data = Data(points, whole, seed, check.threads(threads))
         parsed = {c.name: c for c in map(parse, check.items(criteria, "criteria", rule))}
         lazy = NEIGHBOURHOODS if nested else {}
-        near = {c.name: _made(lazy, c, data) for c in parsed.values() if c.family in lazy}
+        near = {c.name: _made(lazy, c, domain) for c in parsed.values() if c.family in lazy}
         rest = {name: c for name, c in parsed.items() if c.family in SCHEMES and name not in near}
-        return cls(dict(parsed), {name: _made(SCHEMES, c, data) for name, c in rest.items()}, near)
+        return cls(dict(parsed), {name: _made(SCHEMES, c, domain) for name, c in rest.items()}, near)
 
-    def __or__(self, other: Judge) -> Judge:
-        return Judge(
+    def __or__(self, other: Scorer) -> Scorer:
+        return Scorer(
             self.criteria | other.criteria,
             self.schemes | other.schemes,
             self.neighbourhoods | other.neighbourhoods,
         )
 
     def __repr__(self) -> str:
-        return f"Judge({', '.join(self.criteria)})"
+        return f"Scorer({', '.join(self.criteria)})"
 
     def scores(self, model: LeastSquares, threads: int | None = None) -> dict[str, Score]:
         """Every criterion's score of a model; all undefined if the data do not determine the model.
@@ -357,20 +387,20 @@ class Judge:
         >>> import mexpress as mx
         >>> import numpy as np
         >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
-        >>> scores = mx.criteria.Judge.of(["FIT", "CMPRESS"], np.eye(3, 2)).scores(model)
+        >>> scores = mx.criteria.Scorer.of(["FIT", "CMPRESS"], np.eye(3, 2)).scores(model)
         >>> {name: round(score.value, 3) for name, score in scores.items()}
         {'FIT': 1.633, 'CMPRESS': 2.449}
         """
         if model.rank < len(model.coefficients):
             lost = Score(math.nan, np.arange(model.n_data))
             return dict.fromkeys(self.criteria, lost)
-        validated = cross_validate_all(model, self.schemes, threads)
+        predictions = cross_validate_all(model, self.schemes, threads)
         r = model.residuals.size // len(model.residuals)
-        fit = Fit(model.fit_rms, r * float(model.leverage.sum()), model.residuals.size, model.n_data)
+        fit = FitSummary(model.fit_rms, r * float(model.leverage.sum()), model.residuals.size, model.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
-            if name in validated:
-                cv = validated[name]
+            if name in predictions:
+                cv = predictions[name]
                 pairs = self.schemes[name].validated
                 data = [pairs[pair] for pair in cv.undefined]
                 scores[name] = Score(cv.score, np.unique(np.concatenate([*data, cv.undefined[:0]])))
@@ -385,7 +415,7 @@ class Judge:
         nested: Nested,
         sizes: Integers,
         threads: int | None = None,
-        step: Callable[[], None] | None = None,
+        on_step: Callable[[], None] | None = None,
     ) -> dict[str, list[Score]]:
         """Every criterion's score of every model of a nested design, in one sweep.
 
@@ -397,7 +427,7 @@ class Judge:
             The models' numbers of columns, increasing.
         threads : int, optional
             At most so many threads.
-        step : callable, optional
+        on_step : callable, optional
             Called now and then, as often as `mexpress.leastsquares.nested.steps` says.
 
         Returns
@@ -407,41 +437,55 @@ class Judge:
 
         Examples
         --------
-        >>> from mexpress.criteria import Judge
+        >>> from mexpress.criteria import Scorer
         >>> from mexpress.leastsquares.nested import Nested
         >>> import numpy as np
         >>> nested = Nested([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]], [1.0, 3.0, 5.0])
-        >>> curves = Judge.of(["FIT", "CMPRESS"], np.eye(3, 2)).curves(nested, np.array([1, 2]))
+        >>> curves = Scorer.of(["FIT", "CMPRESS"], np.eye(3, 2)).curves(nested, np.array([1, 2]))
         >>> [round(score.value, 3) + 0.0 for score in curves["CMPRESS"]]
         [2.449, 0.0]
         """
-        every: dict[str, Scheme | Neighbourhoods] = {**self.schemes, **self.neighbourhoods}
+        every: dict[str, Scheme | LazyNeighbourhoods] = {**self.schemes, **self.neighbourhoods}
         for scheme in every.values():
             if scheme.n_data != nested.n_data:
                 rule = f"It must be over the criteria's {scheme.n_data} data."
                 check.refuse("nested", rule, f"{nested.n_data} data")
         fits = nested.fits(sizes, threads)
-        found = nested.curves(every, sizes, threads, step)
-        alone = each_alone(nested.n_data)
+        curves = nested.curves(every, sizes, threads, on_step)
+        alone = singletons(nested.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
-            if name in found:
-                scores[name] = _scored(
-                    found[name], self.schemes[name].validated if name in self.schemes else alone
-                )
+            if name in curves:
+                validated = self.schemes[name].validated if name in self.schemes else alone
+                scores[name] = _scored(curves[name], validated)
             elif criterion is not None and criterion.family in FORMULAS:
                 formula = FORMULAS[criterion.family]
                 each = zip(fits.rms, fits.parameters, strict=True)
                 r = nested.n_responses
-                models = (Fit(float(e), r * float(k), r * nested.n_rows, nested.n_data) for e, k in each)
+                models = (
+                    FitSummary(float(e), r * float(k), r * nested.n_rows, nested.n_data) for e, k in each
+                )
                 scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
             else:
-                scores[name] = _scored(nested.press(sizes, threads), each_alone(nested.n_rows))
+                scores[name] = _scored(nested.press(sizes, threads), singletons(nested.n_rows))
         # As in `scores`: nothing is said of models that the data do not determine.
         for k in np.flatnonzero(fits.rank < sizes):
             for curve in scores.values():
                 curve[k] = Score(math.nan, np.arange(nested.n_data))
         return scores
+
+
+def _check_own_schemes(criteria: Mapping[str, Scheme], n: int, rule: str) -> None:
+    for name, scheme in criteria.items():
+        if not (isinstance(name, str) and isinstance(scheme, Scheme)):
+            check.refuse("criteria", rule, check.describe({name: scheme}), TypeError)
+        if scheme.n_data != n:
+            check.refuse(
+                "criteria", f"Its schemes must be over the {n} data.", f"{name!r} over {scheme.n_data} data"
+            )
+        if _find(name) is not None:
+            own = "A scheme of one's own must not have the name of a criterion."
+            check.refuse("criteria", own, check.describe(name))
 
 
 def _scored(curve: NestedCurve, validated: IndexSets) -> list[Score]:
@@ -459,12 +503,23 @@ def _press(model: LeastSquares, threads: int | None) -> Score:
     return Score(value, np.unique(datum_of_row(model)[rows]))
 
 
-def _made(builders: Mapping[str, Callable[[float, Data], Made]], criterion: Criterion, data: Data) -> Made:
+def _made(
+    builders: Mapping[str, Callable[[float, Domain], Made]], criterion: Criterion, domain: Domain
+) -> Made:
     try:
-        return builders[criterion.family](criterion.amount, data)
+        return builders[criterion.family](criterion.amount, domain)
     except (ValueError, OverflowError) as error:  # the number in a name may have any number of digits
-        said = re.fullmatch(r"Invalid (\w+)\. (.*) Given (.*)\.", str(error))
-        unsaid = "the number", "It must suit the data.", f"{len(data.points)} data"
-        argument, rule, given = said.groups() if said else unsaid
+        refusal = re.fullmatch(r"Invalid (\w+)\. (.*) Given (.*)\.", str(error))
+        unnamed = "the number", "It must suit the data.", f"{len(domain.points)} data"
+        argument, rule, given = refusal.groups() if refusal else unnamed
         rule = rule.replace("It must", f"{argument} must", 1)
         check.refuse("criteria", f"In {criterion.name}, {rule[0].lower()}{rule[1:]}", given)
+
+
+if not TYPE_CHECKING:  # a type checker would take it for any name
+
+    def __getattr__(name: str) -> Any:
+        if name == "Judge":
+            warnings.warn("criteria.Judge is now criteria.Scorer.", DeprecationWarning, stacklevel=2)
+            return Scorer
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,11 +6,20 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.geometry import (
+    NEAR_LINE,
+    Region,
+    area,
+    covered_region,
+    diagonal,
+    hull,
+    lattice,
+    moments,
+    thinness,
+    whitened,
+)
 
 __all__ = ["area", "by_residual", "covered_region", "farthest_first", "lattice", "lloyd", "thinness"]
-
-NEAR_LINE = 1e-6
-"""Points are on a line when their spread across it is below this fraction of the spread along it."""
 
 COINCIDENT = 1e-5
 """Control points coincide when they are nearer than this fraction of the largest distance to their mean."""
@@ -24,119 +33,11 @@ _MAX_STEPS = 100
 _TOLERANCE = 1e-4
 
 
-def thinness(points: Floats) -> float:
-    """Return the spread of points across their main direction over the spread along it.
-
-    Parameters
-    ----------
-    points : array, (n, 2)
-        Positions, in any unit: the ratio does not change with a similarity.
-
-    Returns
-    -------
-    float
-        Ratio of the two singular values of the centred points: 1 for a square, 0 on a line and for fewer
-        than three distinct points.
-
-    Examples
-    --------
-    >>> thinness(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 1.0], [10.0, 1.0]])).__round__(6)
-    0.1
-    """
-    centred = points - points.mean(axis=0)
-    size = np.abs(centred).max()
-    if len(points) < 3 or size == 0:
-        return 0.0
-    along, across = np.linalg.svd(centred / size, compute_uv=False)
-    return float(across / along)
-
-
-def covered_region(points: ArrayLike, name: str = "points") -> Floats:
-    """Return the convex hull of points: the region that they cover.
-
-    Parameters
-    ----------
-    points : array_like, (n, 2)
-        Positions, x then y.
-    name : str
-        What an error message calls them.
-
-    Returns
-    -------
-    ndarray, (k, 2)
-        Corners, counter-clockwise from the leftmost one (the lowest of them); none is on a straight edge.
-
-    Raises
-    ------
-    ValueError
-        If the points are fewer than three distinct ones or lie on a line: their spread across it is below
-        1e-6 of that along it.
-
-    Examples
-    --------
-    >>> covered_region([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1], [2, 0]])
-    array([[0., 0.], [4., 0.], [4., 3.], [0., 3.]])
-    """
-    points = check.points(points, name)
-    corners = _convex_hull(points)
-    if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
-        rule = "They must cover a region: three distinct points or more, not on a line."
-        check.refuse(name, rule, f"{len(points)} points on a line or in one place")
-    return corners
-
-
-def lattice(corners: Floats, number: int) -> Floats:
-    """Return about `number` points spread evenly inside a convex region.
-
-    The regular grid is laid in coordinates where the region has unit covariance, so a thin or slanted region
-    has as many points across as along it.
-
-    Parameters
-    ----------
-    corners : ndarray, (k, 2)
-        Corners as `covered_region` gives them.
-    number : int
-        How many points are wanted; the grid's fit to the edges changes it by a few percent.
-
-    Returns
-    -------
-    ndarray, (s, 2)
-        Positions in the unit of the corners.
-
-    Examples
-    --------
-    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    >>> lattice(square, 4)
-    array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
-    """
-    centroid, shape, area = _moments(corners)
-    # A lower triangular map keeps vertical lines vertical, hence the order of the corners in x.
-    white = _whitened(corners, centroid, shape)
-    step = np.sqrt(area / np.linalg.det(shape) / number)
-    x, y = (_cell_centres(coordinates, step) for coordinates in white.T)
-    last = np.lexsort((corners[:, 1], corners[:, 0]))[-1]
-    below, above = white[: last + 1], np.vstack([white[last:], white[:1]])[::-1]
-    lower, upper = (np.interp(x, *chain.T) for chain in (below, above))
-    # The slack keeps a point that rounding puts beside an edge, whatever the region's position.
-    inside = (y[:, None] >= lower - 1e-9) & (y[:, None] <= upper + 1e-9)
-    row, column = np.nonzero(inside)
-    return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
-
-
-def area(corners: Floats) -> float:
-    """Return the area of a convex region, in the squared unit of its corners, (k, 2).
-
-    Examples
-    --------
-    >>> area(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]]))
-    6.0
-    """
-    x, y = (corners - corners[0]).T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
 def lloyd(
-    points: ArrayLike, count: int, seed: int | np.random.Generator | None = 0, threads: int | None = None
+    points: ArrayLike | Region,
+    count: int,
+    seed: int | np.random.Generator | None = 0,
+    threads: int | None = None,
 ) -> Floats:
     """Spread control points over the region that the data cover, by Lloyd's algorithm.
 
@@ -145,8 +46,8 @@ def lloyd(
 
     Parameters
     ----------
-    points : array_like, (n, 2)
-        Data positions, x then y, in any unit.
+    points : array_like, (n, 2), or Region
+        Data positions, x then y, in any unit; or the region that they cover.
     count : int
         Number of control points, 3 or more.
     seed : int, Generator or None
@@ -172,11 +73,11 @@ def lloyd(
     >>> sorted(map(tuple, lloyd(corners, 4).round(-1).tolist()))
     [(100.0, 100.0), (100.0, 300.0), (300.0, 100.0), (300.0, 300.0)]
     """
-    corners = covered_region(points)
+    corners = Region.of(points).corners
     count = check.count(count, "count", 3)
     random, threads = check.generator(seed), check.threads(threads)
-    centroid, shape, _ = _moments(corners)
-    samples = _whitened(lattice(corners, max(2000, 60 * count)), centroid, shape)
+    centroid, shape, _ = moments(corners)
+    samples = whitened(lattice(corners, max(2000, 60 * count)), centroid, shape)
     isotropic = shape / np.linalg.norm(shape)
     # In a thin region the best few centres are on its axis, which determines no warp. In coordinates where
     # the region has unit covariance it is as wide as long, and they are not.
@@ -222,11 +123,14 @@ def farthest_first(points: ArrayLike, max_count: int) -> Integers:
     array([2, 0, 1, 3, 4])
     """
     points = check.points(points, "points")
-    covered_region(points)
-    max_count = check.count(max_count, "max_count", 3)
-    diagonal = float(np.hypot(*np.ptp(points, axis=0)))
+    hull(points, "points")
+    return farthest_order(points, check.count(max_count, "max_count", 3))
+
+
+def farthest_order(points: Floats, max_count: int) -> Integers:
+    """`farthest_first` of points that are checked, and cover a region."""
     # A power of two, so that ties stay ties; squares then neither overflow nor underflow.
-    x, y = np.ldexp(points, -int(np.frexp(diagonal)[1])).T.copy()
+    x, y = np.ldexp(points, -int(np.frexp(diagonal(points))[1])).T.copy()
     first = int(_squares(x, y, x.mean(), y.mean()).argmax())
     second = int(_squares(x, y, x[first], y[first]).argmax())
     a, b = x[second] - x[first], y[second] - y[first]
@@ -327,14 +231,25 @@ def by_residual(
     """
     points = check.points(points, "points")
     values = check.columns(values, "values", len(points))
-    covered_region(points)
-    max_count = check.count(max_count, "max_count", 3)
+    hull(points, "points")
+    return residual_order(points, values, check.count(max_count, "max_count", 3), min_distance, seed, threads)
+
+
+def residual_order(
+    points: Floats,
+    values: Floats,
+    max_count: int,
+    min_distance: float | None,
+    seed: int | np.random.Generator | None,
+    threads: int | None,
+) -> Integers:
+    """`by_residual` of data that are checked, and cover a region."""
     random, threads = check.generator(seed), check.threads(threads)
-    diagonal = float(np.hypot(*np.ptp(points, axis=0)))
-    distance = SPACING * diagonal
+    size = diagonal(points)
+    distance = SPACING * size
     if min_distance is not None:
         rule = "It must be a distance of at least 0."
-        distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * diagonal)
+        distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * size)
     first = _spread_triangle(points, distance, random)
     outputs = values.reshape(len(values), -1)
     return _core.arrival(points, outputs, first, min(max_count, len(points)), distance, threads)
@@ -345,7 +260,7 @@ def _spread_triangle(points: Floats, distance: float, random: np.random.Generato
     centred = points - points.mean(axis=0)
     plane = np.linalg.qr(centred / np.abs(centred).max()).Q
     basis = np.column_stack([np.full(len(points), len(points) ** -0.5), plane])
-    widest = COINCIDENT * float(np.hypot(*np.ptp(points, axis=0)))
+    widest = COINCIDENT * diagonal(points)
     best = None
     for _ in range(_DRAWS):
         triangle = _triangle(basis, random)
@@ -375,67 +290,6 @@ def _triangle(basis: Floats, random: np.random.Generator) -> tuple[int, int, int
         row = left[drawn[-1]]
         left = left - np.outer(left @ row, row / (row @ row))
     return drawn[0], drawn[1], drawn[2]
-
-
-def _convex_hull(points: Floats) -> Floats:
-    """Andrew's monotone chain, after the bulk of many points is dropped."""
-    if len(points) > 50:
-        points = _outer(points)
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
-    corners = _right_turns_removed(ordered)[:-1] + _right_turns_removed(ordered[::-1])[:-1]
-    return np.array(corners or ordered[:1], dtype=np.float64).reshape(-1, 2)
-
-
-def _outer(points: Floats) -> Floats:
-    """Points that are not strictly inside the polygon of the extreme ones in sixteen directions."""
-    angles = np.arange(16) * (np.pi / 8)
-    extremes = points[(points @ np.vstack([np.cos(angles), np.sin(angles)])).argmax(axis=0)]
-    corners = _convex_hull(extremes)
-    inside = np.full(len(points), len(corners) > 2)
-    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        inside &= (bx - ax) * (points[:, 1] - ay) > (by - ay) * (points[:, 0] - ax)
-    return np.asarray(points[~inside])
-
-
-def _right_turns_removed(ordered: list[list[float]]) -> list[list[float]]:
-    chain: list[list[float]] = []
-    for x, y in ordered:
-        while len(chain) > 1:
-            (ax, ay), (bx, by) = chain[-2:]
-            if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
-                break
-            chain.pop()
-        if chain != [[x, y]]:
-            chain.append([x, y])
-    return chain
-
-
-def _moments(corners: Floats) -> tuple[Floats, Floats, float]:
-    """Return centroid, lower Cholesky factor of the covariance, and area of a convex region.
-
-    A triangle that is a share S of the region, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T),
-    s = sum v_k.
-    """
-    fan = np.stack([np.broadcast_to(corners[0], corners[2:].shape), corners[1:-1], corners[2:]], axis=1)
-    first, second = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
-    areas = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    area = float(areas.sum())
-    shares = areas / area  # products of areas and lengths would underflow in tiny units
-    centroid = corners[0] + shares @ (first + second) / 3
-    about = fan - centroid
-    about = np.concatenate([about, about.sum(axis=1, keepdims=True)], axis=1)
-    covariance = np.einsum("t,tki,tkj->ij", shares, about, about) / 12
-    return centroid, np.asarray(np.linalg.cholesky(covariance)), area
-
-
-def _whitened(points: Floats, centroid: Floats, shape: Floats) -> Floats:
-    return np.asarray(np.linalg.solve(shape, (points - centroid).T).T)
-
-
-def _cell_centres(coordinates: Floats, step: float) -> Floats:
-    low, length = coordinates.min(), np.ptp(coordinates)
-    cells = max(1, round(length / step))
-    return np.asarray(low + (np.arange(cells) + 0.5) * (length / cells))
 
 
 def _spread_start(samples: Floats, count: int, random: np.random.Generator) -> Floats:

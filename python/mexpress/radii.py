@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import Region, hull, lattice, nearest
+from mexpress.geometry import diagonal as _diagonal
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
-from mexpress.placement import covered_region, lattice
-from mexpress.schemes import exclusion_radius
+from mexpress.schemes import Places
 
 __all__ = ["RadiusCurve", "score_by_radius"]
 
@@ -97,17 +98,27 @@ def score_by_radius(
     if len(where) != model.n_data:
         rule = f"They must be those of the model's {model.n_data} data."
         check.refuse("points", rule, f"{len(where)} points")
-    region = covered_region(where)
-    whole = (
-        float(np.hypot(*np.ptp(where, axis=0))) if diagonal is None else check.positive(diagonal, "diagonal")
-    )
+    size = _diagonal(where) if diagonal is None else check.positive(diagonal, "diagonal")
+    return radius_curve(model, Places(where), Region(hull(where, "points")), size, percents, threads)
+
+
+def radius_curve(
+    model: LeastSquares,
+    places: Places,
+    domain: Region,
+    diagonal: float,
+    percents: Sequence[float] | None,
+    threads: int | None,
+) -> RadiusCurve:
+    """`score_by_radius` of data that are checked."""
     radii = _checked(PERCENTS if percents is None else percents)
     scores, held = np.empty(len(radii)), np.empty(len(radii))
     for k, percent in enumerate(radii):  # one by one: the lists of all would be large
-        scheme = exclusion_radius(where, percent / 100 * whole, threads)
+        scheme = places.within(percent / 100 * diagonal, threads)
         scores[k] = cross_validate_all(model, {"": scheme}, threads)[""].score
         held[k] = scheme.held_out.sizes.mean()
-    return RadiusCurve(radii, scores, held, 100 / whole * _reach(lattice(region, QUERIES), where))
+    _, reach = nearest(lattice(domain.corners, QUERIES), places.points)
+    return RadiusCurve(radii, scores, held, 100 / diagonal * np.sort(reach))
 
 
 def _checked(percents: ArrayLike) -> Floats:
@@ -118,12 +129,3 @@ def _checked(percents: ArrayLike) -> Floats:
     if check.finite(radii, "percents")[0] < 0 or (np.diff(radii) <= 0).any():
         check.refuse("percents", rule, check.describe(percents))
     return radii
-
-
-def _reach(queries: Floats, points: Floats) -> Floats:
-    """Distances from queries to their nearest points, increasing."""
-    nearest = np.full(len(queries), np.inf)
-    for some in np.array_split(points, -(-len(points) // 4096)):
-        x, y = (queries[:, None, axis] - some[:, axis] for axis in (0, 1))
-        nearest = np.minimum(nearest, np.hypot(x, y).min(axis=1))
-    return np.sort(nearest)

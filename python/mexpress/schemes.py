@@ -14,17 +14,19 @@ array([-2.5,  2. ,  3. ])
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.index_sets import IndexSets, checked, compress, contained, singletons
 
 __all__ = [
     "IndexSets",
@@ -46,60 +48,6 @@ __all__ = [
 MOST_INDICES = 100_000_000
 
 SHARE_RULE = "It must be a share above 0 and at most 1."
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class IndexSets(Sequence[Integers]):
-    """Sets of indices in compressed rows: a sequence of int64 arrays.
-
-    Whoever takes sets checks them: a `Scheme`, and `LeastSquares.hat_blocks`.
-
-    Parameters
-    ----------
-    offsets : (k + 1,) int64 array
-        Set s is ``indices[offsets[s]:offsets[s + 1]]``.
-    indices : (t,) int64 array
-        The members, set after set, increasing in each.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> sets = mx.schemes.from_sets([[0, 1], [2]]).held_out
-    >>> len(sets), sets[0]
-    (2, array([0, 1]))
-    """
-
-    offsets: Integers
-    indices: Integers
-
-    @property
-    def sizes(self) -> Integers:
-        """Number of members of each set, (k,).
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> mx.schemes.from_sets([[0, 1], [2]]).held_out.sizes
-        array([2, 1])
-        """
-        return np.diff(self.offsets)
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-    def __getitem__(self, s: Any) -> Any:
-        if isinstance(s, slice):
-            return [self[i] for i in range(*s.indices(len(self)))]
-        i = s + len(self) if s < 0 else s
-        if not 0 <= i < len(self):
-            raise IndexError(s)
-        return self.indices[self.offsets[i] : self.offsets[i + 1]]
-
-    def __iter__(self) -> Iterator[Integers]:
-        return iter(np.split(self.indices, self.offsets[1:-1])) if len(self) else iter(())
-
-    def __repr__(self) -> str:
-        return f"IndexSets({len(self)} sets, {len(self.indices)} indices)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -169,7 +117,7 @@ class Scheme:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Neighbourhoods:
+class LazyNeighbourhoods:
     """Validate each datum with its neighbourhood held out, as `exclusion_radius` and `nearest` do.
 
     The neighbourhoods are found when they are needed: listed, those of 300,000 pixels do not fit in memory.
@@ -178,89 +126,107 @@ class Neighbourhoods:
     ----------
     n_data : int
         Number of data.
-    around : object of the core
+    search : object of the core
         Finds the neighbourhood of a datum.
     order : (n_data,) int64 array
         The data in an order in which successive ones are near each other.
 
     Examples
     --------
-    >>> from mexpress.schemes import Neighbourhoods
     >>> import numpy as np
-    >>> Neighbourhoods.within(np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]]), 1.5)
-    Neighbourhoods(3 data, about 2 held out)
+    >>> Places(np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])).lazily_within(1.5)
+    LazyNeighbourhoods(3 data, about 2 held out)
     """
 
     n_data: int
-    around: _core.Around
+    search: _core.Around
     order: Integers
 
-    @classmethod
-    def within(cls, points: Floats, radius: float) -> Neighbourhoods:
-        """All within a radius: `exclusion_radius`."""
-        where = check.points(points, "points", dimension=None)
-        return cls(len(where), _core.Around.within(where, radius), _core.along_curve(where))
-
-    @classmethod
-    def nearest(cls, points: Floats, k: int) -> Neighbourhoods:
-        """The k nearest, the datum itself counted: `nearest`."""
-        where = check.points(points, "points", dimension=None)
-        k = check.count(k, "k", 1, len(where))
-        return cls(len(where), _core.Around.nearest(where, k), _core.along_curve(where))
-
     def __repr__(self) -> str:
-        return f"Neighbourhoods({self.n_data} data, about {self.around.mean:.0f} held out)"
+        return f"LazyNeighbourhoods({self.n_data} data, about {self.search.mean:.0f} held out)"
 
 
-def compress(sets: Iterable[Integers]) -> IndexSets:
-    """Index sets of a list of index arrays, each sorted."""
-    arrays = [np.sort(s) for s in sets]
-    offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
-    return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
+@dataclass(frozen=True, eq=False, repr=False)
+class Places:
+    """Where the data are: checked and put in order once, for every scheme that asks who is near whom.
+
+    Parameters
+    ----------
+    points : (n, d) array, d from 1 to 3
+        As `_validation.points` returns them.
+
+    Examples
+    --------
+    >>> Places.of([[0, 0], [1, 0], [3, 0]]).within(1.5)
+    Scheme(3 pairs over 3 data, 1 to 2 held out)
+    """
+
+    points: Floats
+
+    @classmethod
+    def of(cls, points: ArrayLike) -> Places:
+        """Check points of one to three coordinates."""
+        return cls(check.points(points, "points", dimension=None))
+
+    @cached_property
+    def order(self) -> Integers:
+        """The data in an order in which successive ones are near each other."""
+        return _core.along_curve(self.points)
+
+    def within(self, radius: float, threads: int | None = None) -> Scheme:
+        """List the neighbourhoods of `exclusion_radius`."""
+        reach, workers = _checked_radius(radius), check.threads(threads)
+        return self._listed(lambda: _core.neighbours_within(self.points, reach, workers))
+
+    def nearest(self, k: int, threads: int | None = None) -> Scheme:
+        """List the neighbourhoods of `nearest`."""
+        k, workers = check.count(k, "k", 1, len(self.points)), check.threads(threads)
+        return self._listed(lambda: _core.neighbours_nearest(self.points, k, workers))
+
+    def matched(self, queries: Floats, min_train: float = 0.5, threads: int | None = None) -> Scheme:
+        """List the neighbourhoods of `matched`."""
+        share = check.number(min_train, "min_train", SHARE_RULE, 0.0, strict=True)
+        if share > 1:
+            check.refuse("min_train", SHARE_RULE, check.describe(min_train))
+        n, workers = len(self.points), check.threads(threads)
+        most = max(0, n - 1 - max(1, math.floor(share * n + 1e-9)))
+        return self._listed(lambda: _core.neighbours_matched(self.points, queries, most, workers))
+
+    def delaunay(self) -> Scheme:
+        """List the neighbourhoods of `delaunay`."""
+        return self._listed(lambda: _core.neighbours_delaunay(self.points))
+
+    def lazily_within(self, radius: float) -> LazyNeighbourhoods:
+        """Find the neighbourhoods of `exclusion_radius` one by one."""
+        search = _core.Around.within(self.points, _checked_radius(radius))
+        return LazyNeighbourhoods(len(self.points), search, self.order)
+
+    def lazily_nearest(self, k: int) -> LazyNeighbourhoods:
+        """Find the neighbourhoods of `nearest` one by one."""
+        search = _core.Around.nearest(self.points, check.count(k, "k", 1, len(self.points)))
+        return LazyNeighbourhoods(len(self.points), search, self.order)
+
+    def _listed(self, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:
+        """Validate each datum with its neighbourhood held out."""
+        n = len(self.points)
+        try:
+            neighbourhoods = IndexSets(*search())
+        except ValueError as error:
+            check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
+        return Scheme(n, neighbourhoods, singletons(n), self.order)
 
 
-def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
-    """All sets of several, one after another."""
-    whole = list(parts)
-    if len(whole) == 1:
-        return whole[0]
-    sizes = np.concatenate([[0], *(part.sizes for part in whole)])
-    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
-
-
-def each_alone(n: int) -> IndexSets:
-    """Each of n indices alone."""
-    return IndexSets(np.arange(n + 1), np.arange(n))
-
-
-def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
-    """Index sets that users made, with indices from 0 to bound - 1."""
-    if not isinstance(sets, IndexSets):
-        check.refuse(name, "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
-    return IndexSets(*check.sets(sets.offsets, sets.indices, name, bound))
+def _checked_radius(radius: float) -> float:
+    return check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
 
 
 def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
     """Every validated datum is held out."""
-    inside = _inside(held, validated)
+    inside = contained(held, validated)
     if not inside.all():
         i = int(inside.argmin())
         number = np.searchsorted(validated.offsets, i, side="right") - 1
         check.refuse(name, rule, f"datum {validated.indices[i]} in {pair} {number}")
-
-
-def _inside(sets: IndexSets, others: IndexSets) -> NDArray[np.bool_]:
-    """Whether each of the others' indices, in order, is in the set of the same number."""
-    last = max(len(sets.indices) - 1, 0)
-    first, count = (np.repeat(each, others.sizes) for each in (sets.offsets[:-1], sets.sizes))
-    end = first + count
-    while count.any():  # bisection of all sets at once
-        half = count // 2
-        below = (count > 0) & (sets.indices[np.minimum(first + half, last)] < others.indices)
-        first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)
-    found = first < end
-    found[found] = sets.indices[first[found]] == others.indices[found]
-    return found
 
 
 def leave_one_out(n: int) -> Scheme:
@@ -277,7 +243,7 @@ def leave_one_out(n: int) -> Scheme:
     >>> mx.schemes.leave_one_out(3)
     Scheme(3 pairs over 3 data, 1 held out)
     """
-    sets = each_alone(check.count(n, "n", 1))
+    sets = singletons(check.count(n, "n", 1))
     return Scheme(len(sets), sets, sets)
 
 
@@ -325,11 +291,7 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     >>> list(scheme.held_out)
     [array([0, 1]), array([0, 1]), array([2])]
     """
-    where = check.points(points, "points", dimension=None)
-    rule = "It must be a number of at least 0."
-    reach = check.number(radius, "radius", rule, 0.0)
-    workers = check.threads(threads)
-    return _around(where, lambda: _core.neighbours_within(where, reach, workers))
+    return Places.of(points).within(radius, threads)
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
@@ -350,10 +312,7 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     >>> list(mx.schemes.nearest([[0, 0], [1, 0], [3, 0]], k=2).held_out)
     [array([0, 1]), array([0, 1]), array([1, 2])]
     """
-    where = check.points(points, "points", dimension=None)
-    k = check.count(k, "k", 1, len(where))
-    workers = check.threads(threads)
-    return _around(where, lambda: _core.neighbours_nearest(where, k, workers))
+    return Places.of(points).nearest(k, threads)
 
 
 def matched(
@@ -406,14 +365,9 @@ def matched(
     >>> mx.schemes.matched(crowded, queries=crowded)
     Scheme(6 pairs over 6 data, 1 held out)
     """
-    where = check.points(points, "points", dimension=None)
-    asked = check.points(queries, "queries", dimension=where.shape[1])
-    share = check.number(min_train, "min_train", SHARE_RULE, 0.0, strict=True)
-    if share > 1:
-        check.refuse("min_train", SHARE_RULE, check.describe(min_train))
-    n, workers = len(where), check.threads(threads)
-    most = max(0, n - 1 - max(1, math.floor(share * n + 1e-9)))
-    return _around(where, lambda: _core.neighbours_matched(where, asked, most, workers))
+    places = Places.of(points)
+    asked = check.points(queries, "queries", dimension=places.points.shape[1])
+    return places.matched(asked, min_train, threads)
 
 
 def delaunay(points: ArrayLike) -> Scheme:
@@ -431,18 +385,7 @@ def delaunay(points: ArrayLike) -> Scheme:
     >>> list(mx.schemes.delaunay([[0, 0], [1, 0], [2, 0]]).held_out)
     [array([0, 1]), array([0, 1, 2]), array([1, 2])]
     """
-    where = check.points(points, "points")
-    return _around(where, lambda: _core.neighbours_delaunay(where))
-
-
-def _around(points: Floats, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:
-    """Validate each datum with its neighbourhood held out."""
-    n = len(points)
-    try:
-        neighbourhoods = IndexSets(*search())
-    except ValueError as error:
-        check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
-    return Scheme(n, neighbourhoods, each_alone(n), _core.along_curve(points))
+    return Places(check.points(points, "points")).delaunay()
 
 
 def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:
@@ -488,7 +431,7 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
         if total > MOST_INDICES:
             rule = f"The sets must fit in {MOST_INDICES} indices."
             check.refuse("tau", rule, f"{tau}, with more than that for {i + 1} of {count} data")
-    return Scheme(count, compress(held), each_alone(count))
+    return Scheme(count, compress(held), singletons(count))
 
 
 def _matrix_rows(delta: ArrayLike, n: int | None) -> tuple[Callable[[int], ArrayLike], int]:

@@ -182,8 +182,8 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
 # ------------------------------------------------------------------------------------------------------ Ctrl-C
 
 SURFACE = """
-        from mexpress.criteria import Judge
-        from mexpress.models import nested_surface_design
+        from mexpress.criteria import Scorer
+        from designs import nested_surface_design
         from mexpress.leastsquares.nested import Nested
         points = rng.uniform(0, 1000, (60_000, 2))
         values = np.sin(points[:, 0] / 100) + 0.1 * rng.normal(size=60_000)
@@ -259,15 +259,15 @@ LONG = {
         {SURFACE}
         design = nested_surface_design(points, values, points[:150])
         nested = Nested(design.A, design.b, threads=2)
-        judge = Judge.of(["ER20", "NN25PCT"], points, nested=True)
-        call = lambda: judge.curves(nested, np.arange(3, 151), 2)
+        scorer = Scorer.of(["ER20", "NN25PCT"], points, nested=True)
+        call = lambda: scorer.curves(nested, np.arange(3, 151), 2)
     """,
     "a surface's folds": f"""
         {SURFACE}
         design = nested_surface_design(points, values, points[:300])
         nested = Nested(design.A, design.b, threads=2)
-        judge = Judge.of(["KF1000", "PRESS"], points, nested=True)
-        call = lambda: judge.curves(nested, np.arange(3, 301), 2)
+        scorer = Scorer.of(["KF1000", "PRESS"], points, nested=True)
+        call = lambda: scorer.curves(nested, np.arange(3, 301), 2)
     """,
     "a factorisation for nested models": """
         A, b = rng.normal(size=(400_000, 100)), rng.normal(size=400_000)

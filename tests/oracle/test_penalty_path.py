@@ -8,7 +8,7 @@ import pytest
 from refits import Problem, every_scheme, make, pairs
 
 import mexpress as mx
-from mexpress.leastsquares.penalty_path import Spectrum
+from mexpress.leastsquares.penalty_path import PenaltyPath
 
 # In units of the weight at which the penalty is as large as the design; "auto" tries 1e-6 to 1e8 of it. Farther down,
 # 1e-12 say, pairs that lose the design's rank are good to seven digits: predictions that the penalty alone makes.
@@ -26,7 +26,7 @@ def weighted(problem, weight):
 
 
 def factorised(problem):
-    return Spectrum(problem.A, problem.b, problem.m // problem.n, problem.penalty)
+    return PenaltyPath(problem.A, problem.b, problem.m // problem.n, problem.penalty)
 
 
 def check_fit(fit, problem):
@@ -59,12 +59,12 @@ def check_predictions(fit, problem, schemes):
 @pytest.mark.parametrize(("coupling", "responses"), [(1, 1), (1, 3), (2, 1), (3, 2)])
 def test_every_weight_is_a_refit(family, coupling, responses):
     problem, points = make(family, coupling, responses=responses, penalised=True)
-    spectrum, schemes = factorised(problem), every_scheme(points)
-    assert spectrum.determined
-    assert spectrum.rank == np.linalg.matrix_rank(problem.A / np.linalg.norm(problem.A, axis=0))
+    path, schemes = factorised(problem), every_scheme(points)
+    assert path.determined
+    assert path.rank == np.linalg.matrix_rank(problem.A / np.linalg.norm(problem.A, axis=0))
     for weight in WEIGHTS:
         here = weighted(problem, weight * unit(problem))
-        fit = spectrum.at(weight * unit(problem))
+        fit = path.fit(weight * unit(problem))
         check_fit(fit, here)
         check_predictions(fit, here, schemes)
 
@@ -72,9 +72,9 @@ def test_every_weight_is_a_refit(family, coupling, responses):
 @pytest.mark.parametrize("coupling", [1, 2])
 def test_every_weight_is_the_direct_least_squares(coupling):
     problem, points = make("tps", coupling, responses=2, penalised=True)
-    spectrum = factorised(problem)
+    path = factorised(problem)
     for weight in WEIGHTS:
-        fit, direct = spectrum.at(weight * unit(problem)), weighted(problem, weight * unit(problem)).model()
+        fit, direct = path.fit(weight * unit(problem)), weighted(problem, weight * unit(problem)).model()
         np.testing.assert_allclose(fit.coefficients, direct.coefficients, rtol=1e-9)
         np.testing.assert_allclose(fit.model.leverage, direct.leverage, rtol=1e-9)
         assert fit.model.fit_rms == pytest.approx(direct.fit_rms, rel=1e-9)
@@ -86,8 +86,8 @@ def test_every_weight_is_the_direct_least_squares(coupling):
 
 def test_threads_do_not_matter():
     problem, points = make("tps", 2, penalised=True)
-    spectrum, schemes = factorised(problem), every_scheme(points)
-    one, two = (spectrum.at(unit(problem), threads) for threads in (1, 2))
+    path, schemes = factorised(problem), every_scheme(points)
+    one, two = (path.fit(unit(problem), threads) for threads in (1, 2))
     np.testing.assert_array_equal(one.coefficients, two.coefficients)
     for scheme in schemes.values():
         found = [fit.model.cross_validate(scheme, threads=k).residuals for fit, k in ((one, 1), (two, 2))]
@@ -103,9 +103,9 @@ def respond_to(A, Z):
 def test_more_columns_than_rows(weight):
     rng = np.random.default_rng(2)
     problem = respond_to(rng.normal(size=(10, 15)), rng.normal(size=(17, 15)))
-    spectrum = factorised(problem)
-    assert (spectrum.determined, spectrum.rank) == (True, 10)
-    here, fit = weighted(problem, weight * unit(problem)), spectrum.at(weight * unit(problem))
+    path = factorised(problem)
+    assert (path.determined, path.rank) == (True, 10)
+    here, fit = weighted(problem, weight * unit(problem)), path.fit(weight * unit(problem))
     check_fit(fit, here)
     check_predictions(fit, here, every_scheme(rng.uniform(0, 1000, (10, 2))))
 
@@ -117,9 +117,9 @@ def test_what_the_design_leaves_open_the_penalty_determines(weight):
     A[:, 4] = A[:, 0] - 2 * A[:, 1]
     A[:, 5] = 0
     problem = respond_to(A, np.eye(6)[3:] + 0.1 * rng.normal(size=(3, 6)))
-    spectrum = factorised(problem)
-    assert (spectrum.determined, spectrum.rank) == (True, 4)
-    here, fit = weighted(problem, weight * unit(problem)), spectrum.at(weight * unit(problem))
+    path = factorised(problem)
+    assert (path.determined, path.rank) == (True, 4)
+    here, fit = weighted(problem, weight * unit(problem)), path.fit(weight * unit(problem))
     check_fit(fit, here)
     check_predictions(fit, here, {"from_sets": mx.schemes.from_sets([[0], [3, 4], range(6)], n=20)})
 
@@ -131,7 +131,7 @@ def test_columns_of_any_scale():
     scaled = replace(plain, A=A * scale, penalty=Z * scale)
     scheme = mx.schemes.k_fold(20, 4, seed=0)
     for weight in WEIGHTS:
-        one, two = (factorised(problem).at(weight) for problem in (plain, scaled))
+        one, two = (factorised(problem).fit(weight) for problem in (plain, scaled))
         np.testing.assert_allclose(two.coefficients * scale, one.coefficients, rtol=1e-9)
         np.testing.assert_allclose(two.model.leverage, one.model.leverage, rtol=1e-9)
         scores = [fit.model.cross_validate(scheme).score for fit in (one, two)]
@@ -167,7 +167,7 @@ def test_extreme_weights_are_exact(exponent):
     # Neither end is more than a limit: the design alone, and the design where the penalty is zero.
     rng = np.random.default_rng(5)
     problem = respond_to(rng.normal(size=(14, 4)), rng.normal(size=(2, 4)))
-    fit, weight = factorised(problem).at(10.0**exponent), 10.0**exponent
+    fit, weight = factorised(problem).fit(10.0**exponent), 10.0**exponent
     size = np.abs(problem.b).max()
     expected = exact_residuals(problem, weight, [])
     every = [exact_residuals(problem, weight, [i])[0] for i in range(14)]
@@ -184,9 +184,9 @@ def test_at_extreme_weights_the_rank_of_the_design_is_still_seen(exponent):
     rng = np.random.default_rng(6)
     A = np.column_stack([rng.normal(size=(14, 3)), np.zeros(14)])
     A[:, 3] = A[:, :3] @ [1.0, 2.0, 3.0]
-    spectrum = factorised(respond_to(A, np.eye(4)[3:]))
-    fit = spectrum.at(10.0**exponent)
-    assert spectrum.rank == 3
+    path = factorised(respond_to(A, np.eye(4)[3:]))
+    fit = path.fit(10.0**exponent)
+    assert path.rank == 3
     assert fit.model.leverage.sum() == pytest.approx(3, rel=1e-9)
 
 
@@ -194,10 +194,10 @@ def test_what_both_leave_open_has_no_coefficients():
     rng = np.random.default_rng(7)
     A, Z = rng.normal(size=(20, 5)), rng.normal(size=(3, 5))
     A[:, 2], Z[:, 2] = A[:, 0] + A[:, 1], Z[:, 0] + Z[:, 1]
-    spectrum = factorised(respond_to(A, Z))
-    assert not spectrum.determined
+    path = factorised(respond_to(A, Z))
+    assert not path.determined
     for weight in WEIGHTS:
-        fit = spectrum.at(weight)
+        fit = path.fit(weight)
         assert fit.coefficients is None
         assert fit.model.rank == 4
 
@@ -206,7 +206,7 @@ def test_what_both_leave_open_has_no_coefficients():
 def test_fewer_rows_than_columns_in_all(k):
     rng = np.random.default_rng(8)
     A, Z = rng.normal(size=(4, 6)), rng.normal(size=(k, 6))
-    fit = Spectrum(A, rng.normal(size=4), 1, Z).at(1.0)
+    fit = PenaltyPath(A, rng.normal(size=4), 1, Z).fit(1.0)
     assert fit.coefficients is None
     assert fit.model.rank == 4 + k
 
@@ -215,4 +215,4 @@ def test_a_penalty_of_zeros_is_none():
     rng = np.random.default_rng(9)
     problem = respond_to(rng.normal(size=(12, 3)), np.zeros((2, 3)))
     for weight in (1e-30, 1.0, 1e30):
-        check_fit(factorised(problem).at(weight), problem)
+        check_fit(factorised(problem).fit(weight), problem)

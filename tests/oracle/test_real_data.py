@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from designs import nested_surface_design
 
 import mexpress as mx
 from mexpress.io.clouds import read_cloud
-from mexpress.models import nested_surface_design
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 FLAT = DATA / "flat"

@@ -5,14 +5,14 @@ import weakref
 
 import numpy as np
 import pytest
+from designs import nested_warp_design, surface_design, warp_design
 from refits import Problem
 
 import mexpress as mx
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import ThinPlateSpline, lifting_named
-from mexpress.models import nested_warp_design, surface_design, warp_design
 from mexpress.placement import area, covered_region, farthest_first, lloyd
-from mexpress.selection.weights import weights_of
+from mexpress.selection.weights import smoothing_weights
 
 RNG = np.random.default_rng(0)
 N = 30
@@ -175,7 +175,7 @@ def test_leading_parts_of_nested_warps_are_the_warps_of_their_control_points(fra
             np.testing.assert_allclose(part.residuals, whole.residuals, rtol=0, atol=1e-9 * size)
             one, two = (
                 nested.model(part.coefficients, count, weight),
-                single.model(whole.coefficients, weight),
+                single.model(whole.coefficients, smoothing=weight),
             )
             np.testing.assert_allclose(one(WHERE), two(WHERE), rtol=1e-9)
             assert one.smoothing == two.smoothing == weight
@@ -263,7 +263,7 @@ def test_auto_tries_two_counts_and_twenty_weights():
     found = mx.select_warp(SOURCE, TARGET, smoothing="auto")
     assert found.counts.tolist() == [3, N]
     assert found.placement == "nested"
-    np.testing.assert_array_equal(found.weights, weights_of("auto", N, area(REGION), N))
+    np.testing.assert_array_equal(found.weights, smoothing_weights("auto", N, area(REGION), N))
     assert (np.diff(found.weights) > 0).all()
     assert found.weights[[0, -1]] == pytest.approx([1e-3 * UNIT / N**2, 100 * UNIT])
     # Nothing to gain at the ends: there the map is flat.
@@ -455,7 +455,7 @@ def test_a_fit_keeps_its_weight_in_its_file(tmp_path):
 
 def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
     living, most = weakref.WeakSet(), []
-    made = LeastSquares.orthonormal.__func__
+    made = LeastSquares._from_orthonormal.__func__
 
     def counted(*given):
         model = made(*given)
@@ -463,7 +463,7 @@ def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
         most.append(len(living))
         return model
 
-    monkeypatch.setattr(LeastSquares, "orthonormal", classmethod(counted))
+    monkeypatch.setattr(LeastSquares, "_from_orthonormal", classmethod(counted))
     mx.select_warp(SOURCE, TARGET, "CMPRESS", smoothing="auto")
     assert len(most) == 20  # of the larger design; the smaller one has nothing to bend
     assert max(most) <= 2

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mexpress as mx
-from mexpress.criteria import Judge, parse
+from mexpress.criteria import Scorer, parse
 from mexpress.leastsquares.nested import Nested
 from mexpress.placement import covered_region, lattice
 from mexpress.selection import largest_count
@@ -33,7 +33,7 @@ def lists(sets):
 
 
 def scheme_of(name, points, **options):
-    (scheme,) = Judge.of([name], points, **options).schemes.values()
+    (scheme,) = Scorer.of([name], points, **options).schemes.values()
     return scheme
 
 
@@ -116,16 +116,16 @@ def test_matched_is_listed_for_nested_models_too():
     x, y = np.random.default_rng(2).uniform(size=(2, 60)) ** 3
     points, values = np.column_stack([x, y]), np.sin(5 * x) + y
     design = np.column_stack([x**i * y**j for i in range(3) for j in range(3)])
-    judge = Judge.of(["MATCHED"], points, nested=True)
-    curve = judge.curves(Nested(design, values), np.arange(1, 10))["MATCHED"]
+    scorer = Scorer.of(["MATCHED"], points, nested=True)
+    curve = scorer.curves(Nested(design, values), np.arange(1, 10))["MATCHED"]
     for size, score in zip(range(1, 10), curve, strict=True):
         model = mx.LeastSquares(design[:, :size], values)
-        assert score.value == pytest.approx(Judge.of(["MATCHED"], points).scores(model)["MATCHED"].value)
+        assert score.value == pytest.approx(Scorer.of(["MATCHED"], points).scores(model)["MATCHED"].value)
 
 
 def test_matched_needs_data_that_cover_a_region():
     with pytest.raises(ValueError, match=r"^Invalid criteria\. In MATCHED, .*"):
-        Judge.of(["MATCHED"], np.column_stack([np.arange(9.0), np.arange(9.0)]))
+        Scorer.of(["MATCHED"], np.column_stack([np.arange(9.0), np.arange(9.0)]))
 
 
 def test_radius_is_a_percentage_of_the_diagonal():
@@ -165,7 +165,7 @@ def test_numbers_that_do_not_suit_the_data(name, digits):
     if digits.startswith("9"):
         name = name[:2] + digits + name[2:] if not name.startswith("LPO") else name[:3] + digits
     with pytest.raises(ValueError, match=r"^Invalid criteria\. .* Given .*\.$"):
-        Judge.of([name], points)
+        Scorer.of([name], points)
 
 
 def test_unsuited_numbers_are_refused_in_one_sentence():
@@ -176,7 +176,7 @@ def test_unsuited_numbers_are_refused_in_one_sentence():
         "NN130PTS": "In NN130PTS, k must be a whole number from 1 to 120. Given 130.",
     }.items():
         with pytest.raises(ValueError, match=r"^Invalid criteria") as caught:
-            Judge.of([name], points)
+            Scorer.of([name], points)
         assert str(caught.value) == f"Invalid criteria. {said}"
 
 
@@ -184,7 +184,7 @@ def test_unsuited_numbers_are_refused_in_one_sentence():
 def test_schemes_of_ones_own_have_names_of_their_own(name):
     own = {"mine": mx.schemes.leave_one_out(5), name: mx.schemes.leave_one_out(5)}
     with pytest.raises(ValueError, match=r"^Invalid criteria\. .* the name of a criterion\. Given .*\.$"):
-        Judge.of(own, np.eye(5, 2))
+        Scorer.of(own, np.eye(5, 2))
 
 
 def problem(coupling, penalty=None, responses=None):
@@ -195,7 +195,7 @@ def problem(coupling, penalty=None, responses=None):
 
 def value(model, name):
     points = np.random.default_rng(1).uniform(size=(model.n_data, 2))
-    return Judge.of([name], points).scores(model)[name].value
+    return Scorer.of([name], points).scores(model)[name].value
 
 
 @pytest.mark.parametrize("penalty", [None, np.eye(4)])
@@ -227,7 +227,7 @@ def test_information_criteria_of_an_exact_fit():
 def test_scores_are_those_of_the_model():
     model = problem(2)
     points = np.random.default_rng(1).uniform(size=(20, 2))
-    scores = Judge.of(["fit", "PRESS", "CMPRESS", "ER20"], points).scores(model)
+    scores = Scorer.of(["fit", "PRESS", "CMPRESS", "ER20"], points).scores(model)
     radius = 0.2 * np.hypot(*np.ptp(points, axis=0))
     expected = {
         "FIT": model.fit_rms,
@@ -243,11 +243,11 @@ def test_undefined_data_are_named():
     A = np.column_stack([np.ones(10), np.isin(np.arange(10), [3, 8])])
     points = np.arange(20.0).reshape(10, 2)
     own = {"pairs": mx.schemes.from_sets([[3, 8], [0, 1], [3, 4, 8]], [[8], [0], [3, 4]], n=10)}
-    score = Judge.of(own, points).scores(mx.LeastSquares(A, np.arange(10.0)))["pairs"]
+    score = Scorer.of(own, points).scores(mx.LeastSquares(A, np.arange(10.0)))["pairs"]
     assert math.isnan(score.value)
     assert score.undefined.tolist() == [3, 4, 8]
     A[8, 1] = 0
-    scores = Judge.of(["PRESS", "CMPRESS", "FIT"], points).scores(mx.LeastSquares(A, np.arange(10.0)))
+    scores = Scorer.of(["PRESS", "CMPRESS", "FIT"], points).scores(mx.LeastSquares(A, np.arange(10.0)))
     assert {name: s.undefined.tolist() for name, s in scores.items()} == {
         "PRESS": [3],
         "CMPRESS": [3],
@@ -257,7 +257,7 @@ def test_undefined_data_are_named():
 
 def test_a_model_that_the_data_do_not_determine_has_no_score():
     model = mx.LeastSquares(np.ones((6, 2)), np.arange(6.0))
-    for score in Judge.of(["FIT", "AIC", "CMPRESS"], np.eye(6, 2)).scores(model).values():
+    for score in Scorer.of(["FIT", "AIC", "CMPRESS"], np.eye(6, 2)).scores(model).values():
         assert math.isnan(score.value)
         assert score.undefined.tolist() == list(range(6))
 

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from designs import warp_design
 from refits import Problem, worst_error
 from test_liftings import scattered
 
 import mexpress as mx
 from mexpress.liftings import LIFTINGS, Lifting, ThinPlateSpline, make_lifting, register
-from mexpress.models import warp_design
 
 NAMES = ["tps", "bspline", "affine"]
 WIDTH, HEIGHT = 640.0, 480.0

@@ -5,8 +5,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
 
+from mexpress.geometry import moments
 from mexpress.liftings import ThinPlateSpline
-from mexpress.placement import _moments, covered_region, lattice, lloyd, thinness
+from mexpress.placement import covered_region, lattice, lloyd, thinness
 
 SQUARE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
 coordinates = st.integers(-50, 50).map(float)
@@ -103,12 +104,12 @@ def test_thinness_is_a_ratio():
 
 def test_moments_are_those_of_the_area():
     rectangle = np.array([[10.0, 5.0], [16.0, 5.0], [16.0, 8.0], [10.0, 8.0]])
-    centroid, factor, area = _moments(rectangle)
+    centroid, factor, area = moments(rectangle)
     np.testing.assert_allclose(centroid, [13, 6.5])
     np.testing.assert_allclose(factor @ factor.T, np.diag([6**2, 3**2]) / 12, atol=1e-12)
     assert area == pytest.approx(18)
     triangle = np.array([[0.0, 0.0], [5.0, 1.0], [2.0, 7.0]])
-    centroid, factor, area = _moments(triangle)
+    centroid, factor, area = moments(triangle)
     about = triangle - triangle.mean(axis=0)
     np.testing.assert_allclose(centroid, triangle.mean(axis=0))
     np.testing.assert_allclose(factor @ factor.T, about.T @ about / 12)

@@ -2,13 +2,13 @@ import math
 
 import numpy as np
 import pytest
+from designs import warp_design
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refits import Problem
 
 import mexpress as mx
 from mexpress.liftings import make_lifting
-from mexpress.models import warp_design
 from mexpress.placement import lloyd
 
 SIZE = (640, 480)

@@ -3,16 +3,16 @@ import re
 
 import numpy as np
 import pytest
+from designs import nested_surface_design
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refits import Problem
 
 import mexpress as mx
 from mexpress import progress
-from mexpress.criteria import Judge
+from mexpress.criteria import Scorer
 from mexpress.leastsquares.nested import Nested
-from mexpress.models import nested_surface_design
-from mexpress.schemes import Neighbourhoods
+from mexpress.schemes import Places
 
 s = mx.schemes
 NAMED = [
@@ -57,11 +57,11 @@ def own_schemes(n):
 def refitted(selection, criteria, smoothing=0.0):
     """Return every count's scores by plain least squares on the leading columns, with all schemes listed."""
     design = nested_surface_design(selection.points, selection.values, selection.control_points)
-    judge = Judge.of(criteria, selection.points)
+    scorer = Scorer.of(criteria, selection.points)
     scores = []
     for count in selection.counts:
         rows = np.sqrt(smoothing) * design.bending()[:, :count] if smoothing else None
-        scores.append(judge.scores(mx.LeastSquares(design.A[:, :count], design.b, penalty=rows)))
+        scores.append(scorer.scores(mx.LeastSquares(design.A[:, :count], design.b, penalty=rows)))
     return scores
 
 
@@ -461,8 +461,8 @@ def test_the_order_of_the_data_does_not_matter_to_a_given_placement():
         curves = []
         for chosen in (np.arange(150), order):
             design = nested_surface_design(points[chosen], values[chosen], centres)
-            judge = Judge.of([name], points[chosen], nested=True)
-            scores = judge.curves(Nested(design.A, design.b), selection.counts)[name]
+            scorer = Scorer.of([name], points[chosen], nested=True)
+            scores = scorer.curves(Nested(design.A, design.b), selection.counts)[name]
             curves.append([score.value for score in scores])
         np.testing.assert_allclose(curves[0], selection.curves[name], rtol=1e-12)
         np.testing.assert_allclose(curves[0], curves[1], rtol=1e-9)
@@ -528,16 +528,16 @@ def both(points, lazy, listed):
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.1, 0.35, 2.0])
 def test_neighbourhoods_within_a_radius_are_those_listed(points, share):
     radius = share * float(np.linalg.norm(np.ptp(points, axis=0)))
-    both(points, Neighbourhoods.within(points, radius), s.exclusion_radius(points, radius))
+    both(points, Places(points).lazily_within(radius), s.exclusion_radius(points, radius))
 
 
 @pytest.mark.parametrize("radius", [1.0, 2.0, 5.0, np.sqrt(2), np.sqrt(5), np.sqrt(3)])
 @pytest.mark.parametrize("points", [grid(60), grid(9, 13), grid(4, 5, 6)], ids=["1-D", "2-D", "3-D"])
 def test_points_exactly_at_the_radius_are_inside_either_way(points, radius):
-    both(points, Neighbourhoods.within(points, radius), s.exclusion_radius(points, radius))
+    both(points, Places(points).lazily_within(radius), s.exclusion_radius(points, radius))
     both(
         0.1 * points,
-        Neighbourhoods.within(0.1 * points, 0.1 * radius),
+        Places(0.1 * points).lazily_within(0.1 * radius),
         s.exclusion_radius(0.1 * points, 0.1 * radius),
     )
 
@@ -546,7 +546,7 @@ def test_points_exactly_at_the_radius_are_inside_either_way(points, radius):
 @pytest.mark.parametrize("k", [1, 2, 7, 40])
 def test_nearest_neighbourhoods_are_those_listed(points, k):
     k = min(k, len(points))
-    both(points, Neighbourhoods.nearest(points, k), s.nearest(points, k))
+    both(points, Places(points).lazily_nearest(k), s.nearest(points, k))
 
 
 @settings(max_examples=25)
@@ -562,9 +562,9 @@ def test_neighbourhoods_of_any_points(seed, n, dimension, steps, share):
     points = rng.uniform(0, 1, (n, dimension))
     points = points if steps is None else np.round(points * steps)
     radius = share * float(np.linalg.norm(np.ptp(points, axis=0)))
-    both(points, Neighbourhoods.within(points, radius), s.exclusion_radius(points, radius))
+    both(points, Places(points).lazily_within(radius), s.exclusion_radius(points, radius))
     k = 1 + int(share * (n - 1) / 1.1)
-    both(points, Neighbourhoods.nearest(points, k), s.nearest(points, k))
+    both(points, Places(points).lazily_nearest(k), s.nearest(points, k))
 
 
 @pytest.mark.parametrize("points", PLACES)
@@ -574,12 +574,12 @@ def test_criteria_of_nested_models_are_those_of_others(points):
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     rng = np.random.default_rng(2)
     A, b = rng.normal(size=(n, 2)), rng.normal(size=n)
-    lazy, listed = (Judge.of(names, points, diagonal, nested=nested) for nested in (True, False))
+    lazy, listed = (Scorer.of(names, points, diagonal, nested=nested) for nested in (True, False))
     assert list(lazy.criteria) == list(listed.criteria) == names
     assert lazy.schemes.keys() == {"CMPRESS"}
     assert lazy.neighbourhoods.keys() == set(names) - {"CMPRESS"}
     sizes = np.array([1, min(n, 2)]) if n > 1 else np.array([1])
-    curves, listed_curves = (judge.curves(Nested(A, b), sizes) for judge in (lazy, listed))
+    curves, listed_curves = (scorer.curves(Nested(A, b), sizes) for scorer in (lazy, listed))
     for k, size in enumerate(sizes):
         alone = listed.scores(mx.LeastSquares(A[:, :size], b))
         for name in names:
@@ -589,5 +589,5 @@ def test_criteria_of_nested_models_are_those_of_others(points):
 
 
 def test_neighbourhoods_in_one_line():
-    assert repr(Neighbourhoods.nearest(grid(5, 5), 9)) == "Neighbourhoods(25 data, about 9 held out)"
-    assert repr(Neighbourhoods.within(grid(5, 5), 0.5)) == "Neighbourhoods(25 data, about 1 held out)"
+    assert repr(Places(grid(5, 5)).lazily_nearest(9)) == "LazyNeighbourhoods(25 data, about 9 held out)"
+    assert repr(Places(grid(5, 5)).lazily_within(0.5)) == "LazyNeighbourhoods(25 data, about 1 held out)"

@@ -5,12 +5,13 @@ import threading
 import numpy as np
 import plyfile
 import pytest
+from designs import nested_surface_design
 from test_liftings import bordered, kernel, scattered
 from test_meshes import read_obj
 
 import mexpress as mx
 from mexpress.liftings import ThinPlateSpline
-from mexpress.models import files, nested_surface_design
+from mexpress.models import files
 from mexpress.models.surface import Surface
 from mexpress.selection.fit import fit_surface
 
@@ -526,10 +527,8 @@ def test_surfaces_say_what_they_are():
     assert repr(bent()) == "Surface(depth, tps, 12 control points)"
     assert repr(bent((1,))) == "Surface(depth, tps, 12 control points)"
     assert repr(bent((5,), 3)) == "Surface(5 values, tps, 3 control points)"
-    assert (
-        repr(nested_surface_design(positions(9), np.ones(9), control_points(4)))
-        == "NestedSurfaceDesign(9 x 4)"
-    )
+    design = nested_surface_design(positions(9), np.ones(9), control_points(4))
+    assert repr(design) == "LinearDesign(9 x 4, NestedBasis(4 control points))"
 
 
 def test_a_surface_does_not_change_with_the_arrays_it_was_made_from():

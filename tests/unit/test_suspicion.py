@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mexpress as mx
-from mexpress.criteria import Judge
+from mexpress.criteria import Scorer
 from mexpress.suspicion import LEFT_OUT, Suspects, SuspicionWarning, studentised_squares, suspects
 
 rng = np.random.default_rng(0)
@@ -126,12 +126,12 @@ class Polynomials:
             for d in range(1, 7)
         ]
         self.values = values
-        self.judge = Judge.of(["ER10"], points)
+        self.scorer = Scorer.of(["ER10"], points)
 
     def __call__(self, weights):
         """Return the model of the chosen degree."""
         models = [mx.LeastSquares(design, self.values, weights=weights) for design in self.designs]
-        return models[int(np.nanargmin([self.judge.scores(model)["ER10"].value for model in models]))]
+        return models[int(np.nanargmin([self.scorer.scores(model)["ER10"].value for model in models]))]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3])

@@ -5,11 +5,11 @@ import cv2
 import numpy as np
 import pytest
 import skimage.transform
+from designs import warp_design
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mexpress.liftings import ThinPlateSpline
-from mexpress.models import warp_design
 from mexpress.models.files import load, save
 from mexpress.models.warp import Warp
 from mexpress.selection.fit import fit_warp
@@ -167,7 +167,7 @@ def test_bending_rows_measure_the_functions_of_the_warp(fractional):
     source, target = positions(40), project(HOMOGRAPHY, positions(40)) + np.array([5e3, -2e3])
     design = warp_design(ThinPlateSpline(control_points(6)), source, target, fractional)
     x = np.random.default_rng(1).normal(size=(design.A.shape[1], *design.b.shape[1:]))
-    warp, rows = design.model(x), design.lifting.bending()
+    warp, rows = design.model(x), design.basis.bending()
     functions = warp.parameters.copy()
     if fractional:
         functions[:, :2] -= functions[:, 2:] * target.mean(axis=0)

@@ -20,13 +20,11 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.schemes import IndexSets, Scheme, checked, compress, concatenate, each_alone
+from mexpress.index_sets import IndexSets, checked, compress, concatenate, singletons
+from mexpress.leastsquares.problem import Problem
+from mexpress.schemes import Scheme
 
 __all__ = ["CrossValidation", "LeastSquares", "RankLossWarning"]
-
-
-# Residuals of the lightest data lose half as many digits as the weights span.
-WEIGHT_RATIO = 1e12
 
 
 class RankLossWarning(UserWarning):
@@ -84,53 +82,6 @@ class CrossValidation:
     def __repr__(self) -> str:
         counts = f"{len(self.rows)} residuals, {len(self.undefined)} undefined pairs"
         return f"CrossValidation(score={self.score:.7g}, {counts})"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Problem:
-    """A least-squares problem as the core takes it, checked.
-
-    Examples
-    --------
-    >>> from mexpress.leastsquares.model import Problem
-    >>> Problem.of([[1], [1]], [2, 3], weights=[1, 16]).row_weights
-    array([0.0625, 1.    ])
-    """
-
-    design: Floats
-    responses: Floats
-    coupling: IndexSets
-    row_weights: Floats | None
-    penalty: Floats
-
-    @classmethod
-    def of(
-        cls,
-        A: ArrayLike,
-        b: ArrayLike,
-        coupling: int | ArrayLike = 1,
-        weights: ArrayLike | None = None,
-        penalty: ArrayLike | None = None,
-    ) -> Problem:
-        """Check what `LeastSquares` is given.
-
-        Examples
-        --------
-        See the class.
-        """
-        design = check.matrix(A, "A")
-        m, p = design.shape
-        responses = check.columns(b, "b", m)
-        rows = _couple(coupling, m)
-        row_weights, exponent = _weigh(weights, rows, m)
-        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
-        return cls(design, responses, rows, row_weights, extra)
-
-    @property
-    def arrays(self) -> tuple[Floats, Floats, Floats | None, Floats]:
-        """Design, responses (m, r), roots of the row weights, and penalty rows."""
-        roots = None if self.row_weights is None else np.sqrt(self.row_weights)
-        return self.design, self.responses.reshape(len(self.design), -1), roots, self.penalty
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -208,49 +159,32 @@ class LeastSquares:
         *,
         threads: int | None = None,
     ) -> None:
-        given = Problem.of(A, b, coupling, weights, penalty)
-        self._keep(given, _core.Factor(*given.arrays, check.threads(threads)))
+        problem = Problem.of(A, b, coupling, weights, penalty)
+        self._keep(problem, _core.Factor(*problem.arrays, check.threads(threads)))
 
     @classmethod
-    def orthonormal(
+    def _from_orthonormal(
         cls, Q: Floats, b: Floats, coupling: int, penalty: Floats, threads: int | None = None
     ) -> LeastSquares:
-        """Take a design that has orthonormal columns together with its penalty rows: there is nothing to factorise.
-
-        Parameters
-        ----------
-        Q : (m, p) array
-            Design matrix.
-        b, coupling, threads
-            As for the class.
-        penalty : (k, p) array
-            ``Q^T Q + penalty^T penalty`` is the identity; the caller answers for it.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import numpy as np
-        >>> mx.LeastSquares.orthonormal(np.full((4, 1), 0.5), np.arange(4.0), 1, np.zeros((0, 1))).coefficients
-        array([3.])
-        """
+        """Fit a design whose columns, stacked on the penalty rows, are orthonormal: this skips the factorisation."""
         model = object.__new__(cls)
-        given = Problem.of(Q, b, coupling, None, penalty)
-        design, responses, _, rows = given.arrays
-        model._keep(given, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
+        problem = Problem.of(Q, b, coupling, None, penalty)
+        design, responses, _, rows = problem.arrays
+        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
         return model
 
-    def _keep(self, given: Problem, factor: _core.Factor) -> None:
-        flat = given.responses.ndim == 1
+    def _keep(self, problem: Problem, factor: _core.Factor) -> None:
+        flat = problem.responses.ndim == 1
         residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
         self._set(
             coefficients=coefficients[:, 0] if flat else coefficients,
             residuals=residuals[:, 0] if flat else residuals,
             leverage=factor.leverage,
             rank=factor.rank,
-            n_data=len(given.coupling),
+            n_data=len(problem.coupling),
             _factor=factor,
-            _coupling=given.coupling,
-            _row_weights=given.row_weights,
+            _coupling=problem.coupling,
+            _row_weights=problem.row_weights,
         )
 
     def _set(self, **fields: Any) -> None:
@@ -319,10 +253,10 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = compress([order])
-        found = self._predict(sets, sets, each_alone(m), None)
-        if len(found.undefined):
+        prediction = self._predict(sets, sets, singletons(m), None)
+        if len(prediction.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
-        return found.residuals[np.argsort(np.argsort(order))]
+        return prediction.residuals[np.argsort(np.argsort(order))]
 
     def hat_blocks(self, sets: IndexSets | None = None, *, threads: int | None = None) -> list[Floats]:
         """Diagonal blocks ``H_KK`` of the hat matrix, without the matrix.
@@ -347,10 +281,9 @@ class LeastSquares:
         array([[0.25, 0.25],
                [0.25, 0.25]])
         """
-        kept = self._coupling if sets is None else checked(sets, "sets", len(self.leverage))
-        flat = self._factor.hat_blocks((kept.offsets, kept.indices), check.threads(threads))
-        parts = np.split(flat, np.cumsum(kept.sizes**2)[:-1]) if len(kept) else []
-        return [part.reshape(q, q) for part, q in zip(parts, kept.sizes, strict=True)]
+        blocks = self._coupling if sets is None else checked(sets, "sets", len(self.leverage))
+        flat = self._factor.hat_blocks(blocks.arrays, check.threads(threads))
+        return _square_blocks(flat, blocks.sizes)
 
     def prediction_spread(self, scheme: Scheme, threads: int | None = None) -> list[Floats]:
         """How far noise alone drives the prediction residuals of every pair: ``((I - H_KK)^-1)_TT``.
@@ -381,17 +314,11 @@ class LeastSquares:
         [1.5, 1.5, 1.5]
         """
         _expect_scheme(self, scheme)
-        held, validated, rows = scheme.held_out, scheme.validated, self._coupling
-        flat = self._factor.spread(
-            (held.offsets, held.indices),
-            (validated.offsets, validated.indices),
-            (rows.offsets, rows.indices),
-            check.threads(threads),
-        )
+        validated, rows = scheme.validated, self._coupling
+        workers = check.threads(threads)
+        flat = self._factor.spread(scheme.held_out.arrays, validated.arrays, rows.arrays, workers)
         ends = np.concatenate([[0], np.cumsum(rows.sizes[validated.indices])])[validated.offsets]
-        sizes = np.diff(ends)
-        parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(scheme) else []
-        return [part.reshape(t, t) for part, t in zip(parts, sizes, strict=True)]
+        return _square_blocks(flat, np.diff(ends))
 
     def cross_validate(self, scheme: Scheme, threads: int | None = None) -> CrossValidation:
         """Predict the validated data of every pair of a scheme, its held-out data left out of the fit.
@@ -419,10 +346,10 @@ class LeastSquares:
         True
         """
         _expect_scheme(self, scheme)
-        found = cross_validate_all(self, {"": scheme}, threads)[""]
+        result = cross_validate_all(self, {"": scheme}, threads)[""]
         where = "the attribute 'undefined' of the result lists them, the first is"
-        _warn(found.undefined, len(scheme), "pairs", where)
-        return found
+        _warn(result.undefined, len(scheme), "pairs", where)
+        return result
 
     def _part(self, whole: CrossValidation, first: int, last: int) -> CrossValidation:
         """The pairs first..last - 1 alone, scored."""
@@ -445,9 +372,9 @@ class LeastSquares:
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(
-                (held.offsets, held.indices),
-                (validated.offsets, validated.indices),
-                (coupling.offsets, coupling.indices),
+                held.arrays,
+                validated.arrays,
+                coupling.arrays,
                 np.zeros(0, dtype=np.int64) if order is None else order,
                 workers,
             )
@@ -473,10 +400,10 @@ def datum_of_row(model: LeastSquares) -> Integers:
 def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Integers]:
     """PRESS, and the rows that alone determine some part of the model."""
     m, weights = len(model.leverage), model._row_weights
-    alone = each_alone(m)
-    found = model._predict(alone, alone, alone, threads)
+    alone = singletons(m)
+    prediction = model._predict(alone, alone, alone, threads)
     total = float(m) if weights is None else float(weights.sum())
-    return _root_mean(found.residuals, weights, total), found.undefined
+    return _root_mean(prediction.residuals, weights, total), prediction.undefined
 
 
 def cross_validate_all(
@@ -510,6 +437,12 @@ def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
         check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
 
 
+def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
+    """Square matrices that stand one after another."""
+    parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(sizes) else []
+    return [part.reshape(size, size) for part, size in zip(parts, sizes, strict=True)]
+
+
 def _first_validated(scheme: Scheme) -> Integers:
     """A datum of each pair that validates any, in the order of the visits."""
     pairs = scheme.visiting_order[scheme.validated.sizes[scheme.visiting_order] > 0]
@@ -527,67 +460,6 @@ def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float
     if largest == 0.0 or not np.isfinite(largest):
         return largest
     return largest * float(np.sqrt(((errors / largest) ** 2).sum() / total))
-
-
-def _couple(coupling: Any, m: int) -> IndexSets:
-    """Rows of every datum."""
-    rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
-    if check.array(coupling, "coupling", rule).ndim == 0:
-        g = check.count(coupling, "coupling", 1)
-        if m % g:
-            check.refuse("coupling", f"It must divide the {m} rows of A.", str(g))
-        return IndexSets(np.arange(0, m + 1, g), np.arange(m))
-    labels = check.integers(coupling, "coupling", rule)
-    if labels.shape != (m,) or labels.min() < 0 or labels.max() >= m:
-        check.refuse("coupling", rule, check.describe(coupling))
-    sizes = np.bincount(labels)
-    if (sizes == 0).any():
-        check.refuse("coupling", "Every datum must have a row.", f"none for datum {np.argmin(sizes)}")
-    order = np.argsort(labels, kind="stable").astype(np.int64)
-    return IndexSets(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), order)
-
-
-def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats | None, int]:
-    """Weight of every row, divided by the power of four that brings the largest near one, and its exponent.
-
-    Fits and scores depend on ratios alone, and roots of these weights times responses do not overflow.
-    """
-    if weights is None:
-        return None, 0
-    given = check.real(weights, "weights")
-    n = len(rows)
-    rule = f"It must be {n} positive numbers, one for each datum."
-    if given.shape != (n,):
-        check.refuse("weights", rule, f"shape {given.shape}")
-    if check.finite(given, "weights").min() <= 0:
-        rule += " Leave out data that shall not count."
-        check.refuse("weights", rule, f"{given.min()} for datum {int(given.argmin())}")
-    if given.min() < given.max() / WEIGHT_RATIO:
-        rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
-        check.refuse("weights", rule, f"{given.max():g} and {given.min():g}")
-    exponent = int(np.frexp(given.max())[1]) // 2
-    row_weights = np.empty(m)
-    row_weights[rows.indices] = np.repeat(np.ldexp(given, -2 * exponent), rows.sizes)
-    return row_weights, exponent
-
-
-def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
-    """Finite penalty rows of p columns, checked."""
-    rows = check.real(penalty, "penalty")
-    if rows.ndim != 2 or rows.shape[1] != p:
-        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {rows.shape}")
-    return check.finite(rows, "penalty")
-
-
-def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
-    """Penalty rows beside weights that are divided by a power of four."""
-    rows = penalty_rows(penalty, p)
-    with np.errstate(over="ignore"):
-        scaled = np.ldexp(rows, -exponent)
-    if not np.isfinite(scaled).all():
-        rule = "It must not exceed 1e308 times the root of the largest weight."
-        check.refuse("penalty", rule, f"{np.abs(rows).max():g}")
-    return scaled
 
 
 def _warn(lost: Integers, total: int, what: str, where: str) -> None:

@@ -26,8 +26,9 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares.model import Problem, penalty_rows
-from mexpress.schemes import IndexSets, Neighbourhoods, Scheme, each_alone, leave_one_out
+from mexpress.index_sets import IndexSets, singletons
+from mexpress.leastsquares.problem import Problem, penalty_rows
+from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
 __all__ = ["cross_validate_nested"]
 
@@ -36,7 +37,7 @@ _BLOCK = 2048
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NestedFits:
+class FitSummaries:
     """The fits of all models: root mean square residuals E, equation (11), trace(H), and rank."""
 
     rms: Floats
@@ -87,69 +88,67 @@ class Nested:
         x = np.ldexp(np.ascontiguousarray(self._core.coefficients(size)), self._unit)
         return x[:, 0] if self._flat else x
 
-    def fits(self, sizes: Integers, threads: int | None = None) -> NestedFits:
+    def fits(self, sizes: Integers, threads: int | None = None) -> FitSummaries:
         """Fit the models with these numbers of columns."""
         squares, parameters, rank = self._core.fits(sizes, check.threads(threads))
         total = self._total(np.arange(self.n_data), self._coupling)
-        return NestedFits(self._rms(squares, total), parameters, rank)
+        return FitSummaries(self._rms(squares, total), parameters, rank)
 
     def curves(
         self,
-        schemes: Mapping[str, Scheme | Neighbourhoods],
+        schemes: Mapping[str, Scheme | LazyNeighbourhoods],
         sizes: Integers,
         threads: int | None = None,
-        step: Callable[[], None] | None = None,
+        on_step: Callable[[], None] | None = None,
     ) -> dict[str, NestedCurve]:
         """Cross-validate the models with these numbers of columns, increasing, by schemes over the data.
 
-        Listed schemes go through the core in one call, neighbourhoods together in blocks; `step` is called
+        Listed schemes go through the core in one call, neighbourhoods together in blocks; `on_step` is called
         after each, as often as `steps` says.
         """
         listed = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Scheme)}
-        around = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Neighbourhoods)}
-        found = self._listed(listed, self._coupling, sizes, threads)
-        if step is not None:
-            step()
-        found |= self._around(around, sizes, threads, step)
-        return {name: found[name] for name in schemes}
+        lazy = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, LazyNeighbourhoods)}
+        curves = self._listed(listed, self._coupling, sizes, threads)
+        if on_step is not None:
+            on_step()
+        curves |= self._lazy(lazy, sizes, threads, on_step)
+        return {name: curves[name] for name in schemes}
 
     def press(self, sizes: Integers, threads: int | None = None) -> NestedCurve:
         """Hold out every row on its own, equation (3)."""
         alone = {"": leave_one_out(self.n_rows)}
-        return self._listed(alone, each_alone(self.n_rows), sizes, threads)[""]
+        return self._listed(alone, singletons(self.n_rows), sizes, threads)[""]
 
     def _listed(
         self, schemes: Mapping[str, Scheme], rows: IndexSets, sizes: Integers, threads: int | None
     ) -> dict[str, NestedCurve]:
-        given = [((_arrays(s.held_out), _arrays(s.validated)), s.visiting_order) for s in schemes.values()]
-        found = self._core.curves(given, _arrays(rows), sizes, check.threads(threads))
+        pairs = [((s.held_out.arrays, s.validated.arrays), s.visiting_order) for s in schemes.values()]
+        sums = self._core.curves(pairs, rows.arrays, sizes, check.threads(threads))
         curves = {}
-        for (name, scheme), (squares, visited) in zip(schemes.items(), found, strict=True):
+        for (name, scheme), (squares, visited) in zip(schemes.items(), sums, strict=True):
             defined = np.empty_like(visited)
             defined[scheme.visiting_order] = visited
             total = self._total(scheme.validated.indices, rows)
             curves[name] = NestedCurve(self._rms(squares, total), defined)
         return curves
 
-    def _around(
+    def _lazy(
         self,
-        schemes: Mapping[str, Neighbourhoods],
+        schemes: Mapping[str, LazyNeighbourhoods],
         sizes: Integers,
         threads: int | None,
-        step: Callable[[], None] | None,
+        on_step: Callable[[], None] | None,
     ) -> dict[str, NestedCurve]:
         squares = {name: np.zeros(len(sizes)) for name in schemes}
         defined = {name: np.empty(self.n_data, dtype=np.int64) for name in schemes}
         for first in range(0, self.n_data, _BLOCK):
-            given = [(s.around, s.order[first : first + _BLOCK]) for s in schemes.values()]
-            found = self._core.curves(given, _arrays(self._coupling), sizes, check.threads(threads))
-            for (name, (_, order)), (part, visited) in zip(
-                zip(schemes, given, strict=True), found, strict=True
-            ):
+            blocks = [(s.search, s.order[first : first + _BLOCK]) for s in schemes.values()]
+            sums = self._core.curves(blocks, self._coupling.arrays, sizes, check.threads(threads))
+            for name, (_, order), (part, visited) in zip(schemes, blocks, sums, strict=True):
                 squares[name] += part
                 defined[name][order] = visited
-            if step is not None:
-                step()
+            if on_step is not None:
+                on_step()
         total = self._total(np.arange(self.n_data), self._coupling)
         return {name: NestedCurve(self._rms(squares[name], total), defined[name]) for name in schemes}
 
@@ -168,10 +167,6 @@ class Nested:
 def steps(n_data: int) -> int:
     """How often `Nested.curves` reports."""
     return 1 + -(-n_data // _BLOCK)
-
-
-def _arrays(sets: IndexSets) -> tuple[Integers, Integers]:
-    return sets.offsets, sets.indices
 
 
 def cross_validate_nested(
@@ -230,16 +225,16 @@ def cross_validate_nested(
     >>> range(2, 14)[int(np.nanargmin(curves["ER5"]))]
     7
     """
-    checked = _checked_schemes(schemes)
+    by_name = _checked_schemes(schemes)
     design = check.matrix(A, "A")
-    kept = _checked_sizes(sizes, design.shape[1])
-    rows = None if penalty is None else penalty_rows(penalty, design.shape[1])[:, : kept[-1]]
-    nested = Nested(design[:, : kept[-1]], b, coupling, weights, rows, threads=threads)
-    for name, scheme in checked.items():
+    columns = _checked_sizes(sizes, design.shape[1])
+    rows = None if penalty is None else penalty_rows(penalty, design.shape[1])[:, : columns[-1]]
+    nested = Nested(design[:, : columns[-1]], b, coupling, weights, rows, threads=threads)
+    for name, scheme in by_name.items():
         if scheme.n_data != nested.n_data:
             rule = f"They must be over the design's {nested.n_data} data."
             check.refuse("schemes", rule, f"a scheme {name!r} over {scheme.n_data} data")
-    return {name: curve.scores for name, curve in nested.curves(checked, kept, threads).items()}
+    return {name: curve.scores for name, curve in nested.curves(by_name, columns, threads).items()}
 
 
 def _checked_schemes(schemes: Any) -> dict[str, Scheme]:

@@ -12,9 +12,9 @@ Examples
 >>> import numpy as np
 >>> x = np.linspace(0, 1, 9)
 >>> A, Z = np.vander(x, 4), np.eye(2, 4)
->>> at = Spectrum(A, np.sin(5 * x), 1, Z).at(0.3)
+>>> fit = PenaltyPath(A, np.sin(5 * x), 1, Z).fit(0.3)
 >>> direct = mx.LeastSquares(A, np.sin(5 * x), penalty=np.sqrt(0.3) * Z)
->>> bool(np.allclose(at.coefficients, direct.coefficients))
+>>> bool(np.allclose(fit.coefficients, direct.coefficients))
 True
 """
 
@@ -25,11 +25,11 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.leastsquares.model import LeastSquares
 
-__all__ = ["Fitted", "Spectrum"]
+__all__ = ["FittedAt", "PenaltyPath"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fitted:
+class FittedAt:
     """A fit, and the coefficients of its design; None if they are not determined.
 
     The fit may have coordinates of its own: its residuals, leverages and whatever is cross-validated are the design's.
@@ -37,7 +37,7 @@ class Fitted:
     Examples
     --------
     >>> import mexpress as mx
-    >>> Fitted.plain(mx.LeastSquares([[1.0, 1.0]], [2.0])).coefficients is None
+    >>> FittedAt.of(mx.LeastSquares([[1.0, 1.0]], [2.0])).coefficients is None
     True
     """
 
@@ -45,17 +45,12 @@ class Fitted:
     coefficients: Floats | None
 
     @classmethod
-    def plain(cls, model: LeastSquares) -> "Fitted":
-        """Take a fit of the design as it is.
-
-        Examples
-        --------
-        See the class.
-        """
+    def of(cls, model: LeastSquares) -> "FittedAt":
+        """Wrap a fit of the design as it is."""
         return cls(model, model.coefficients if model.rank == len(model.coefficients) else None)
 
 
-class Spectrum:
+class PenaltyPath:
     """A least-squares problem that is factorised for all weights of its penalty.
 
     Parameters
@@ -75,10 +70,6 @@ class Spectrum:
         Whether A and Z together determine the coefficients.
     rank : int
         Rank of A alone, as rounding of the common factorisation lets it be seen.
-
-    Examples
-    --------
-    See the module.
     """
 
     def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats) -> None:
@@ -99,19 +90,14 @@ class Spectrum:
         self._back = np.linalg.solve(triangle, right.T) if self.determined else right.T
         self.rank = int(np.count_nonzero(self._cosines))
 
-    def at(self, weight: float, threads: int | None = None) -> Fitted:
-        """Return the fit at a weight above zero.
-
-        Examples
-        --------
-        See the module.
-        """
+    def fit(self, weight: float, threads: int | None = None) -> FittedAt:
+        """Return the fit at a weight above zero."""
         A, b, coupling, Z = self._problem
         if not self.determined:
-            return Fitted.plain(LeastSquares(A, b, coupling, penalty=np.sqrt(weight) * Z, threads=threads))
+            return FittedAt.of(LeastSquares(A, b, coupling, penalty=np.sqrt(weight) * Z, threads=threads))
         sines = np.sqrt(weight) / self._unit * self._sines
         lengths = np.hypot(self._cosines, sines)
         lengths[lengths == 0] = 1.0
         basis, rest = self._left * (self._cosines / lengths), np.diag(sines / lengths)
-        model = LeastSquares.orthonormal(basis, b, coupling, rest, threads)
-        return Fitted(model, np.asarray((self._back / lengths) @ model.coefficients))
+        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads)
+        return FittedAt(model, np.asarray((self._back / lengths) @ model.coefficients))

@@ -13,7 +13,7 @@ array([[0. , 0.5, 0.5]])
 from mexpress.liftings.affine import PiecewiseAffine
 from mexpress.liftings.bspline import BSpline
 from mexpress.liftings.lifting import LIFTINGS, Lifting, check_lifting, lifting_named, make_lifting, register
-from mexpress.liftings.nested_tps import nested_basis, nested_bending
+from mexpress.liftings.nested_tps import NestedSplines, nested_basis, nested_bending
 from mexpress.liftings.sparse import SparseLifting
 from mexpress.liftings.tps import ThinPlateSpline
 
@@ -21,6 +21,7 @@ __all__ = [
     "LIFTINGS",
     "BSpline",
     "Lifting",
+    "NestedSplines",
     "PiecewiseAffine",
     "SparseLifting",
     "ThinPlateSpline",

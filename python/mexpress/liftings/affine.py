@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register
 from mexpress.liftings.sparse import Entries, SparseLifting
 from mexpress.liftings.triangulation import Indices, Triangulation
-from mexpress.placement import covered_region
 
 __all__ = ["PiecewiseAffine"]
 
@@ -93,7 +93,9 @@ class PiecewiseAffine(SparseLifting):
         return [3, *(count for count in grid_counts(region, largest) if count <= largest)]
 
     @classmethod
-    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+    def place(
+        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
+    ) -> Floats:
         """Return the grid nearest to a count that fills the bounding box of the points, (l, 2).
 
         Of three control points the triangle contains the box. So all points are inside; nothing is random.
@@ -105,7 +107,7 @@ class PiecewiseAffine(SparseLifting):
         """
         if check.count(count, "count", 3) > 3:
             return grid(points, count)
-        corners = covered_region(points)
+        corners = Region.of(points).corners
         return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
 
     def entries(self, points: Floats, along: int | None = None) -> Entries:

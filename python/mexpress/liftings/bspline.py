@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register
 from mexpress.liftings.sparse import Entries, SparseLifting
@@ -117,7 +118,9 @@ class BSpline(SparseLifting):
         return grid_counts(region, largest, ring=1)
 
     @classmethod
-    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+    def place(
+        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
+    ) -> Floats:
         """Return the grid nearest to a count whose span is the bounding box of the points, (l, 2).
 
         Nothing is random. The cells are as square as possible.

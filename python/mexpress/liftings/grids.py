@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.placement import covered_region
+from mexpress.geometry import Region
 
 __all__ = ["grid", "grid_counts"]
 
@@ -40,13 +40,13 @@ def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
     return counts
 
 
-def grid(points: ArrayLike, count: int, ring: int = 0) -> Floats:
+def grid(points: ArrayLike | Region, count: int, ring: int = 0) -> Floats:
     """Return the control points of the grid whose number is nearest to a count, row after row.
 
     Parameters
     ----------
-    points : array_like, (n, 2)
-        Data positions, whose bounding box the grid fills.
+    points : array_like, (n, 2), or Region
+        Data positions, whose bounding box the grid fills; or the region that they cover.
     count : int
         Wished number, 3 or more; the smaller of two grids that are as near.
     ring : int
@@ -62,7 +62,7 @@ def grid(points: ArrayLike, count: int, ring: int = 0) -> Floats:
     >>> grid([[0, 0], [4, 0], [4, 2], [0, 2]], 5)
     array([[0., 0.], [4., 0.], [0., 2.], [4., 2.]])
     """
-    corners, count = covered_region(points), check.count(count, "count", 3)
+    corners, count = Region.of(points).corners, check.count(count, "count", 3)
     chosen = (0, 0)
     for size in _sizes(corners, ring):
         nearer = abs(size[0] * size[1] - count) < abs(chosen[0] * chosen[1] - count)

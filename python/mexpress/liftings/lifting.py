@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.placement import COINCIDENT, NEAR_LINE, covered_region, lloyd, thinness
+from mexpress.geometry import NEAR_LINE, Region, covered_region, thinness
+from mexpress.placement import COINCIDENT, lloyd
 
 __all__ = [
     "LIFTINGS",
@@ -97,6 +98,18 @@ class Lifting(ABC):
         array([[0. , 0.5, 0.5]])
         """
 
+    def at(self, points: Floats) -> Floats:
+        """Return the basis at points that are checked already, (n, l).
+
+        A class whose `basis` checks its points overrides it.
+
+        Examples
+        --------
+        >>> make_lifting("tps", [[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]])).round(6) + 0.0
+        array([[0. , 0.5, 0.5]])
+        """
+        return self.basis(points)
+
     @abstractmethod
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the l functions at n points.
@@ -173,7 +186,7 @@ class Lifting(ABC):
         """
         values = np.empty((len(points), parameters.shape[1]))
         for rows in blocks(len(points), len(parameters)):
-            values[rows] = self.basis(points[rows]) @ parameters
+            values[rows] = self.at(points[rows]) @ parameters
         return values
 
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
@@ -221,13 +234,15 @@ class Lifting(ABC):
         return list(range(3, max(3, largest) + 1))
 
     @classmethod
-    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+    def place(
+        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
+    ) -> Floats:
         """Return control points over the region that the data cover.
 
         Parameters
         ----------
-        points : array_like, (n, 2)
-            Data positions, or only the corners of their convex hull.
+        points : array_like, (n, 2), or Region
+            Data positions, or the region that they cover.
         count : int
             Wished number of control points: exact if it is one of `counts`.
         seed : int

@@ -5,14 +5,73 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import NEAR_LINE, thinness
 from mexpress.liftings.lifting import blocks, check_spread
 from mexpress.liftings.tps import kernel
-from mexpress.placement import NEAR_LINE, thinness
 
-__all__ = ["nested_basis", "nested_bending"]
+__all__ = ["NestedSplines", "nested_basis", "nested_bending"]
 
 
-@np.errstate(over="ignore", invalid="ignore")
+class NestedSplines:
+    """The functions of `nested_basis` and their bending, of control points that are looked at once.
+
+    Parameters
+    ----------
+    control_points : ndarray, (l, 2)
+        Finite, in their order.
+
+    Raises
+    ------
+    ValueError
+        If they suit no thin-plate spline, or the first three are on a line.
+
+    Examples
+    --------
+    >>> splines = NestedSplines(np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]]))
+    >>> splines.at(np.array([[1.0, 1.0]])).round(6) + 0.0
+    array([[0. , 0.5, 0.5, 0. ]])
+    """
+
+    def __init__(self, control_points: Floats) -> None:
+        check_spread(control_points)
+        if thinness(control_points[:3]) <= NEAR_LINE:
+            rule = f"The first three must not lie on a line, to within {NEAR_LINE:g} of their extent."
+            check.refuse("control_points", rule, f"{control_points[:3].tolist()}")
+        self._origin = control_points[0]
+        self._scale = float(np.hypot(*(control_points[1:3] - self._origin).T).max())
+        self._centres: Floats = (control_points - self._origin) / self._scale
+        self._shares = self._barycentric(self._centres)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def at(self, points: Floats) -> Floats:
+        """Return the functions at points, (n, l)."""
+        functions = np.empty((len(points), len(self._centres)))
+        for rows in blocks(len(points), len(self._centres)):
+            here = (points[rows] - self._origin) / self._scale
+            distances = kernel(here, self._centres)
+            functions[rows, :3] = self._barycentric(here)
+            functions[rows, 3:] = distances[:, 3:]
+            for i in range(3):
+                functions[rows, 3:] -= np.outer(distances[:, i], self._shares[3:, i])
+        return functions
+
+    def bending(self) -> Floats:
+        """Return the rows of `nested_bending`, (l - 3, l)."""
+        count = len(self._centres)
+        weights = np.vstack([-self._shares[3:].T, np.eye(count - 3)])
+        side, triangle = np.linalg.qr(weights)
+        factor = np.linalg.cholesky(side.T @ kernel(self._centres, self._centres) @ side)
+        rows = np.zeros((count - 3, count))
+        rows[:, 3:] = factor.T @ triangle / self._scale
+        return rows
+
+    def _barycentric(self, points: Floats) -> Floats:
+        """Return barycentric coordinates with respect to the first three centres, of which the first is 0."""
+        (x, y), (a, b), (c, d) = points.T, *self._centres[1:3]
+        second, third = (d * x - c * y) / (a * d - b * c), (a * y - b * x) / (a * d - b * c)
+        return np.column_stack([1 - second - third, second, third])
+
+
 def nested_basis(points: ArrayLike, control_points: ArrayLike) -> Floats:
     """Return functions of which the first k span the thin-plate splines of the first k control points.
 
@@ -44,16 +103,8 @@ def nested_basis(points: ArrayLike, control_points: ArrayLike) -> Floats:
     array([[ 0.      ,  0.5     ,  0.5     ,  0.      ],
            [-1.      ,  1.      ,  1.      ,  0.693147]])
     """
-    points, origin, scale, centres, shares = check.points(points, "points"), *_nested_frame(control_points)
-    functions = np.empty((len(points), len(centres)))
-    for rows in blocks(len(points), len(centres)):
-        here = (points[rows] - origin) / scale
-        distances = kernel(here, centres)
-        functions[rows, :3] = _barycentric(here, centres)
-        functions[rows, 3:] = distances[:, 3:]
-        for i in range(3):
-            functions[rows, 3:] -= np.outer(distances[:, i], shares[3:, i])
-    return functions
+    points, control_points = check.points(points, "points"), check.points(control_points, "control_points")
+    return NestedSplines(control_points).at(points)
 
 
 def nested_bending(control_points: ArrayLike) -> Floats:
@@ -77,30 +128,4 @@ def nested_bending(control_points: ArrayLike) -> Floats:
     >>> (energy @ energy).round(6)
     np.float64(0.693147)
     """
-    _, scale, centres, shares = _nested_frame(control_points)
-    weights = np.vstack([-shares[3:].T, np.eye(len(centres) - 3)])
-    side, triangle = np.linalg.qr(weights)
-    factor = np.linalg.cholesky(side.T @ kernel(centres, centres) @ side)
-    rows = np.zeros((len(centres) - 3, len(centres)))
-    rows[:, 3:] = factor.T @ triangle / scale
-    return rows
-
-
-def _nested_frame(control_points: ArrayLike) -> tuple[Floats, float, Floats, Floats]:
-    """Return origin, unit, and the control points in this frame, with their barycentric coordinates."""
-    points = check.points(control_points, "control_points")
-    check_spread(points)
-    if thinness(points[:3]) <= NEAR_LINE:
-        rule = f"The first three must not lie on a line, to within {NEAR_LINE:g} of their extent."
-        check.refuse("control_points", rule, f"{points[:3].tolist()}")
-    origin = points[0]
-    scale = float(np.hypot(*(points[1:3] - origin).T).max())
-    centres = (points - origin) / scale
-    return origin, scale, centres, _barycentric(centres, centres)
-
-
-def _barycentric(points: Floats, centres: Floats) -> Floats:
-    """Return barycentric coordinates with respect to the first three centres, of which the first is 0."""
-    (x, y), (a, b), (c, d) = points.T, *centres[1:3]
-    second, third = (d * x - c * y) / (a * d - b * c), (a * y - b * x) / (a * d - b * c)
-    return np.column_stack([1 - second - third, second, third])
+    return NestedSplines(check.points(control_points, "control_points")).bending()

@@ -60,7 +60,18 @@ class SparseLifting(Lifting):
         >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]])
         array([[0. , 0.5, 0.5]])
         """
-        return self._dense(check.points(points, "points"))
+        return self.at(check.points(points, "points"))
+
+    def at(self, points: Floats) -> Floats:
+        """Return the basis at points that are checked already, (n, l).
+
+        Examples
+        --------
+        >>> from mexpress.liftings import PiecewiseAffine
+        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]]))
+        array([[0. , 0.5, 0.5]])
+        """
+        return self._dense(points)
 
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the l functions along x and y at n points, (n, l, 2).

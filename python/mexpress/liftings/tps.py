@@ -48,7 +48,17 @@ class ThinPlateSpline(Lifting):
         >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
         array([[0. , 0.5, 0.5]])
         """
-        return self.values(check.points(points, "points"), np.eye(len(self.control_points)))
+        return self.at(check.points(points, "points"))
+
+    def at(self, points: Floats) -> Floats:
+        """Return the basis at points that are checked already, (n, l).
+
+        Examples
+        --------
+        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]])).round(6) + 0.0
+        array([[0. , 0.5, 0.5]])
+        """
+        return self.values(points, np.eye(len(self.control_points)))
 
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the l cardinal functions along x and y at n points, (n, l, 2).

@@ -1,38 +1,44 @@
-"""Fits of warps and surfaces as linear least-squares problems: from control points to a design, and back.
-
-A `Design` has one set of control points and any lifting. A `NestedDesign` has thin-plate splines on control points
-in an order: its leading columns are the designs of the first control points, so that all can be judged at once.
+"""Warps and surfaces, and their fits as linear least-squares problems: sections 4.2 and 5 of the paper.
 
 Examples
 --------
->>> from mexpress.models import warp_design
+>>> import numpy as np
+>>> from mexpress.geometry import Region
 >>> from mexpress.liftings import ThinPlateSpline
->>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
->>> warp_design(ThinPlateSpline(square), square, square, fractional=False).A.shape
+>>> from mexpress.models import CardinalBasis, Warp, linear_design
+>>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
+>>> basis = CardinalBasis(ThinPlateSpline(square))
+>>> linear_design(basis, square, 2 * square, Region.of(square), Warp).A.shape
 (4, 4)
 """
 
-from mexpress.models.design import Design, NestedDesign
-from mexpress.models.surface_design import (
-    NestedSurfaceDesign,
-    SurfaceDesign,
-    measured_data,
-    nested_surface_design,
-    surface_design,
+from mexpress.models.base import Model
+from mexpress.models.design import (
+    Basis,
+    CardinalBasis,
+    Design,
+    FractionalDesign,
+    LinearDesign,
+    ModelT,
+    NestedBasis,
+    fractional_design,
+    linear_design,
 )
-from mexpress.models.warp_design import NestedWarpDesign, WarpDesign, matched, nested_warp_design, warp_design
+from mexpress.models.surface import Surface, SurfaceGrid
+from mexpress.models.warp import Warp
 
 __all__ = [
+    "Basis",
+    "CardinalBasis",
     "Design",
-    "NestedDesign",
-    "NestedSurfaceDesign",
-    "NestedWarpDesign",
-    "SurfaceDesign",
-    "WarpDesign",
-    "matched",
-    "measured_data",
-    "nested_surface_design",
-    "nested_warp_design",
-    "surface_design",
-    "warp_design",
+    "FractionalDesign",
+    "LinearDesign",
+    "Model",
+    "ModelT",
+    "NestedBasis",
+    "Surface",
+    "SurfaceGrid",
+    "Warp",
+    "fractional_design",
+    "linear_design",
 ]

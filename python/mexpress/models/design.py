@@ -1,77 +1,460 @@
-"""What every design has, whatever its solution is.
+"""Fits of warps and surfaces as linear least-squares problems: from functions to a design, and back.
+
+A warp without denominator is a surface of two values, so both are a `LinearDesign`; with a denominator a warp is a
+`FractionalDesign`. Either takes the functions of a lifting as they are (`CardinalBasis`), or thin-plate splines in an
+order of their control points (`NestedBasis`): then the first columns are the design of the first control points, and
+all numbers of control points can be judged at once.
 
 Examples
 --------
-See `mexpress.models`.
+>>> import numpy as np
+>>> from mexpress.liftings import ThinPlateSpline
+>>> from mexpress.models import CardinalBasis, NestedBasis, Surface, linear_design
+>>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
+>>> depths = np.array([0.0, 2.0, 2.0, 4.0])
+>>> linear_design(CardinalBasis(ThinPlateSpline(square)), square, depths, Region.of(square), Surface)
+LinearDesign(4 x 4, CardinalBasis(ThinPlateSpline(4 control points)))
+>>> linear_design(NestedBasis(square), square, depths, Region.of(square), Surface).columns(3)
+3
 """
 
-from typing import Protocol, TypeVar
+from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast
+
+import numpy as np
 from numpy.typing import ArrayLike
 
-from mexpress._validation import Floats
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.geometry import Region
+from mexpress.leastsquares.model import LeastSquares
+from mexpress.liftings import Lifting, NestedSplines, ThinPlateSpline
+from mexpress.models.base import Model
+from mexpress.models.warp import Warp
 
-__all__ = ["Design", "NestedDesign"]
+__all__ = [
+    "Basis",
+    "CardinalBasis",
+    "Design",
+    "FractionalDesign",
+    "LinearDesign",
+    "ModelT",
+    "NestedBasis",
+    "fractional_design",
+    "linear_design",
+]
 
-Model_co = TypeVar("Model_co", covariant=True)
+ModelT = TypeVar("ModelT", bound=Model)
 
 
-class Design(Protocol[Model_co]):
-    """Minimise ||b - A x||^2 + weight ||Z x||^2.
+class Basis(Protocol):
+    """Functions of the plane, one a control point, that sum to one or span the constants otherwise."""
+
+    @property
+    def count(self) -> int:
+        """Number of control points, l."""
+
+    def at(self, points: Floats) -> Floats:
+        """Return the functions at points, (n, l)."""
+
+    def bending(self) -> Floats:
+        """Return the rows Z of the bending energy, (k, l)."""
+
+    def lifting(self, count: int) -> Lifting:
+        """Return the lifting of the first control points."""
+
+    def parameters(self, count: int) -> Floats:
+        """Return what the coefficients of the first functions are multiplied by to be the lifting's parameters."""
+
+    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
+        """Return what rows, (n, l), make of the functions beside the constant 1 in a denominator, (n, l - 1).
+
+        Denominators p_3 satisfy normal . p_3 = 1; `of_one` is what a row makes of the constant: 1 if the rows are
+        values at points, 0 if they are bendings.
+        """
+
+    def constant(self, rows: Floats, normal: Floats) -> Floats:
+        """Return what rows of values make of the constant 1, (n,)."""
+
+    def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
+        """Return the columns of p_1, of p_2 and of the denominator in a fractional design."""
+
+
+@dataclass(frozen=True)
+class CardinalBasis:
+    """The functions of a lifting as they are; a denominator's p_3 = origin + N z, N an orthonormal complement.
 
     Examples
     --------
-    See `WarpDesign` and `SurfaceDesign`.
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> CardinalBasis(ThinPlateSpline([[0, 0], [1, 0], [0, 1]])).count
+    3
     """
 
-    @property
-    def A(self) -> Floats:  # noqa: N802 - the paper's name
-        """Design matrix, (m, p)."""
+    functions: Lifting
+
+    def __repr__(self) -> str:
+        return f"CardinalBasis({self.functions!r})"
 
     @property
-    def b(self) -> Floats:
-        """Responses, (m,) or (m, r)."""
+    def count(self) -> int:
+        """Number of control points, l."""
+        return len(self.functions.control_points)
+
+    def at(self, points: Floats) -> Floats:
+        """Return the functions at points, (n, l)."""
+        return self.functions.at(points)
+
+    def bending(self) -> Floats:
+        """Return the rows Z of the bending energy, (k, l)."""
+        return self.functions.bending()
+
+    def lifting(self, count: int) -> Lifting:
+        """Return the lifting: of all its control points, for it has no smaller one inside."""
+        return self.functions
+
+    def parameters(self, count: int) -> Floats:
+        """Return the identity: coefficients are the lifting's parameters."""
+        return np.eye(count)
+
+    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
+        """Return rows @ N, with N an orthonormal basis of the vectors that the normal gives the value zero."""
+        return np.asarray(rows @ _complement(normal))
+
+    def constant(self, rows: Floats, normal: Floats) -> Floats:
+        """Return rows @ origin, with the parameters all the same that the normal gives the value one."""
+        return np.asarray(rows @ np.full(len(normal), 1 / normal.sum()))
+
+    def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
+        """Return the columns of p_1 (l), of p_2 (l) and of z (l - 1), one after another."""
+        columns = np.arange(3 * count - 1)
+        return columns[:count], columns[count : 2 * count], columns[2 * count :]
+
+
+class NestedBasis:
+    """Thin-plate splines in an order of their control points: the first functions are a basis of their own.
+
+    The functions are those of `mexpress.liftings.nested_basis`; a denominator is 1 + sum_k z_k (psi_k - mean of psi_k),
+    over all functions but the first: it has mean one wherever the means are taken, and does not change with the control
+    points after its own.
+
+    Parameters
+    ----------
+    control_points : array_like, (l, 2)
+        In their order; the first three not on a line, and best far apart.
+
+    Raises
+    ------
+    ValueError
+        If they suit no thin-plate spline, or the first three are on a line.
+
+    Examples
+    --------
+    >>> NestedBasis([[0, 0], [1, 0], [0, 1], [1, 1]])
+    NestedBasis(4 control points)
+    """
+
+    def __init__(self, control_points: ArrayLike) -> None:
+        self._control_points = check.points(control_points, "control_points")
+        self._splines = NestedSplines(self._control_points)
+
+    def __repr__(self) -> str:
+        return f"NestedBasis({self.count} control points)"
 
     @property
-    def coupling(self) -> int:
-        """Rows of A per datum."""
+    def count(self) -> int:
+        """Number of control points, l."""
+        return len(self._control_points)
+
+    def at(self, points: Floats) -> Floats:
+        """Return the functions at points, (n, l)."""
+        return self._splines.at(points)
+
+    def bending(self) -> Floats:
+        """Return the rows Z of the bending energy, (l - 3, l): first columns are those of the first functions."""
+        return self._splines.bending()
+
+    def lifting(self, count: int) -> Lifting:
+        """Return the thin-plate spline of the first control points."""
+        return ThinPlateSpline(self._control_points[:count])
+
+    def parameters(self, count: int) -> Floats:
+        """Return the first functions at the first control points: a spline's parameters are its values there."""
+        centres = self._control_points[:count]
+        return NestedSplines(centres).at(centres)
+
+    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
+        """Return rows less their means, without the first function."""
+        return np.asarray((rows - of_one * normal[: rows.shape[1]])[:, 1:])
+
+    def constant(self, rows: Floats, normal: Floats) -> Floats:
+        """Return ones."""
+        return np.ones(len(rows))
+
+    def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
+        """Return the columns of the first three control points, eight, then three for each of the others."""
+        later = np.arange(8, 3 * count - 1, 3)
+        first = np.concatenate([[0, 1, 2], later])
+        second = np.concatenate([[3, 4, 5], later + 1])
+        return first, second, np.concatenate([[6, 7], later + 2])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(ABC, Generic[ModelT]):
+    """Minimise ||b - A x||^2 + smoothing ||Z x||^2, with Z the bending energy of a warp or a surface.
+
+    Attributes
+    ----------
+    A : ndarray, (m, p)
+        Design matrix.
+    b : ndarray, (m,) or (m, r)
+        Responses.
+    basis : Basis
+        Functions that the model is made of.
+    domain : Region
+        What the data cover.
+    weights : ndarray, (n,), or None
+        Of the data; one each if None.
+    coupling : int
+        Rows of A per datum.
+    """
+
+    A: Floats
+    b: Floats
+    basis: Basis
+    domain: Region
+    weights: Floats | None = field(kw_only=True, default=None)
+    coupling: ClassVar[int] = 1
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.A.shape[0]} x {self.A.shape[1]}, {self.basis!r})"
 
     @property
     def count(self) -> int:
         """Number of control points."""
+        return self.basis.count
 
+    @abstractmethod
+    def columns(self, count: int) -> int:
+        """Return how many columns belong to the first control points."""
+
+    @abstractmethod
     def bending(self) -> Floats:
-        """Z, (k, p): ||Z x||^2 is the bending energy."""
+        """Return the rows Z, (k, p); with a nested basis their first columns are those of the smaller designs."""
 
-    def model(self, coefficients: ArrayLike, smoothing: float = 0.0) -> Model_co:
-        """The warp or surface of a solution x, and the weight it was found with."""
+    @abstractmethod
+    def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> ModelT:
+        """Return the model of a solution.
+
+        Parameters
+        ----------
+        x : array_like, (columns(count),) or (columns(count), r)
+            Coefficients of the first columns; those of later columns are taken as 0.
+        count : int, optional
+            Number of control points; all of them if not given.
+        smoothing : float
+            Weight of the bending energy that they were found with; the model keeps it.
+        """
+
+    def weighted(self, weights: Floats | None) -> Self:
+        """Return the design with weights of the data."""
+        return replace(self, weights=weights)
+
+    def fit(self, smoothing: float = 0.0, threads: int | None = None) -> LeastSquares:
+        """Fit the design with a weight of its bending energy."""
+        rows = math.sqrt(smoothing) * self.bending() if smoothing else None
+        return LeastSquares(self.A, self.b, self.coupling, self.weights, rows, threads=threads)
 
 
-class NestedDesign(Protocol[Model_co]):
-    """Designs for more and more control points, each of them the first columns of the next.
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearDesign(Design[ModelT]):
+    """A surface, or a warp without denominator: every value is a response, and all share the functions.
+
+    The bending energy is of one value, in its unit per unit of the points; it applies to every response.
+
+    Attributes
+    ----------
+    A : ndarray, (n, l)
+        Functions at the data.
+    b : ndarray, (n,) or (n, d)
+        Values at the data.
+    kind : type
+        `Surface` or `Warp`.
 
     Examples
     --------
-    See `NestedWarpDesign` and `NestedSurfaceDesign`.
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> from mexpress.models import Surface
+    >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
+    >>> plane = CardinalBasis(ThinPlateSpline(square[:3]))
+    >>> design = linear_design(plane, square, np.array([0.0, 2.0, 2.0, 4.0]), Region.of(square), Surface)
+    >>> design.model(design.fit().coefficients)
+    Surface(depth, tps, 3 control points)
     """
 
-    @property
-    def A(self) -> Floats:  # noqa: N802 - the paper's name
-        """Design matrix of the largest, (m, p)."""
-
-    @property
-    def b(self) -> Floats:
-        """Responses, (m,) or (m, r)."""
-
-    @property
-    def coupling(self) -> int:
-        """Rows of A per datum."""
+    kind: type[ModelT]
 
     def columns(self, count: int) -> int:
-        """How many columns belong to the first control points."""
+        """Return how many columns belong to the first control points: one each."""
+        return count
 
     def bending(self) -> Floats:
-        """Z, (k, p), of which leading columns are those of the smaller designs."""
+        """Return the rows Z of the basis, (k, l)."""
+        return self.basis.bending()
 
-    def model(self, coefficients: ArrayLike, count: int, smoothing: float = 0.0) -> Model_co:
-        """The warp or surface of a solution of the first columns."""
+    def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> ModelT:
+        """Return the model of a solution, see `Design`."""
+        count = self.count if count is None else count
+        parameters = self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
+        return _model(self.kind, self.basis.lifting(count), parameters, self.domain, smoothing)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FractionalDesign(Design[Warp]):
+    """The algebraic error of a warp with a denominator, in pixels of the target image.
+
+    The bending energy is of the warp's three functions with the target centred, the denominator times `scale`: all are
+    then in pixels of the target image, and a similarity of it does not matter.
+
+    Attributes
+    ----------
+    A : ndarray, (2n, 3l - 1)
+        Rows 2i and 2i + 1 are the x and y equations of match i; columns are in the order of the basis.
+    b : ndarray, (2n,)
+        Responses.
+    centre : ndarray, (2,)
+        Mean of the target points, the origin of the unknowns p_1 and p_2.
+    scale : float
+        Root mean square distance of the target points to their mean, the unit of p_1 and p_2.
+    normal : ndarray, (l,)
+        Denominators satisfy normal . p_3 = 1, see `fractional_design`.
+
+    Examples
+    --------
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
+    >>> homography = CardinalBasis(ThinPlateSpline(square[:3]))
+    >>> design = fractional_design(homography, square, 2 * square, Region.of(square))
+    >>> design.model(design.fit().coefficients)
+    Warp(fractional tps, 3 control points)
+    """
+
+    centre: Floats
+    scale: float
+    normal: Floats
+    coupling: ClassVar[int] = 2
+
+    def columns(self, count: int) -> int:
+        """Return how many columns belong to the first control points: three each, less one."""
+        return 3 * count - 1
+
+    def bending(self) -> Floats:
+        """Return the rows Z, (3k, 3l - 1): those of the basis for each of the three functions."""
+        one = self.basis.bending()
+        first, second, third = self.basis.blocks(self.count)
+        rows = np.zeros((3, len(one), self.A.shape[1]))
+        rows[0][:, first] = rows[1][:, second] = one
+        rows[2][:, third] = self.basis.varying(one, 0.0, self.normal)
+        return self.scale * rows.reshape(3 * len(one), self.A.shape[1])
+
+    def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> Warp:
+        """Return the warp of a solution, see `Design`."""
+        count = self.count if count is None else count
+        first, second, third = (np.asarray(x, dtype=np.float64)[block] for block in self.basis.blocks(count))
+        rows = self.basis.parameters(count)
+        denominator = self.basis.constant(rows, self.normal)
+        denominator = denominator + self.basis.varying(rows, 1.0, self.normal) @ third
+        numerators = self.scale * rows @ np.column_stack([first, second]) + np.outer(denominator, self.centre)
+        parameters = np.column_stack([numerators, denominator])
+        return _model(Warp, self.basis.lifting(count), parameters, self.domain, smoothing)
+
+
+def linear_design(
+    basis: Basis, points: Floats, values: Floats, domain: Region, kind: type[ModelT]
+) -> LinearDesign[ModelT]:
+    """Write the fit of a surface, or of a warp without denominator, as a linear least-squares problem.
+
+    Parameters
+    ----------
+    basis : Basis
+        Functions.
+    points : ndarray, (n, 2)
+        Positions of the data, finite.
+    values : ndarray, (n,) or (n, d)
+        Values there: depths, points in space, or target points of a warp.
+    domain : Region
+        What the points cover.
+    kind : type
+        `Surface` or `Warp`.
+
+    Examples
+    --------
+    See the module.
+    """
+    return LinearDesign(basis.at(points), values, basis, domain, kind)
+
+
+def fractional_design(
+    basis: Basis, source: Floats, target: Floats, domain: Region, over_data: bool | None = None
+) -> FractionalDesign:
+    """Write the fit of a warp with a denominator as a linear least-squares problem (eqs. 16-21).
+
+    The algebraic error of match i is s (t p_3 . nu - p . nu) for p = p_1, p_2 and t = x, y of the target point, centred
+    and in units of s. With denominators of mean one it is close to the transfer error in pixels. The solution does not
+    change, but for rounding, with a similarity of either image.
+
+    Parameters
+    ----------
+    basis : Basis
+        Functions of the source image.
+    source, target : ndarray, (n, 2)
+        Matches in pixels, finite.
+    domain : Region
+        What the source points cover.
+    over_data : bool, optional
+        Whether the denominators have mean one over the matches, as nested models need it. Otherwise their parameters
+        do, as in the paper (eq. 19): for a thin-plate spline that is the mean over the control points, and the default
+        of its cardinal form. Control points of other liftings may be far from the matches, where a denominator can
+        grow while it vanishes over them.
+
+    Examples
+    --------
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
+    >>> fractional_design(CardinalBasis(ThinPlateSpline(square)), square, square, Region.of(square))
+    FractionalDesign(8 x 11, CardinalBasis(ThinPlateSpline(4 control points)))
+    """
+    functions = basis.at(source)
+    n, count = functions.shape
+    centre = target.mean(axis=0)
+    about = target - centre
+    scale = float(np.sqrt((about**2).sum(axis=1).mean())) or 1.0
+    if over_data is None:
+        over_data = not (isinstance(basis, CardinalBasis) and isinstance(basis.functions, ThinPlateSpline))
+    normal = functions.mean(axis=0) if over_data else np.full(count, 1 / count)
+    first, second, third = basis.blocks(count)
+    rows = np.zeros((n, 2, 3 * count - 1))
+    rows[:, 0, first] = rows[:, 1, second] = scale * functions
+    rows[:, :, third] = -about[:, :, None] * basis.varying(functions, 1.0, normal)[:, None, :]
+    right = about * basis.constant(functions, normal)[:, None]
+    return FractionalDesign(rows.reshape(2 * n, -1), right.reshape(-1), basis, domain, centre, scale, normal)
+
+
+def _model(
+    kind: type[ModelT], lifting: Lifting, parameters: Floats, domain: Region, smoothing: float
+) -> ModelT:
+    # A region stands for its corners, and is not looked for again.
+    return kind(lifting, parameters, cast(Floats, domain), smoothing)
+
+
+def _complement(normal: Floats) -> Floats:
+    """Return N, (l, l - 1), an orthonormal basis of the vectors that a normal gives the value zero."""
+    mirror = normal / np.linalg.norm(normal)
+    sign = 1.0 if mirror[0] >= 0 else -1.0
+    # Householder's reflection takes the normal to the first axis, and the other axes to its complement.
+    mirror[0] += sign
+    return np.asarray((np.eye(len(mirror)) - np.outer(mirror, mirror / (sign * mirror[0])))[:, 1:])

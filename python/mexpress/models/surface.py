@@ -10,20 +10,19 @@ array([2.25])
 """
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.geometry import EDGE, area, inside
 from mexpress.io import meshes
-from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.models import files
-from mexpress.placement import covered_region
+from mexpress.models.base import Model
 
 __all__ = ["Surface", "SurfaceGrid"]
 
@@ -32,9 +31,6 @@ _SAMPLES = 10_000
 
 _MOST_SAMPLES = 10**7
 """More samples of a grid, inside the domain or not, are taken for a mistake."""
-
-_SLACK = 1e-9
-"""A sample this fraction of the domain's extent outside of it counts as inside: rounding puts it there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,7 +89,7 @@ class SurfaceGrid:
 
 @files.storable
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface:
+class Surface(Model):
     """A smooth map from points of the plane to depths, or to points in space.
 
     With nu the lifting and p_a the columns of the parameters, value a at a point q is nu(q) . p_a.
@@ -105,8 +101,9 @@ class Surface:
     parameters : array_like, (l,) or (l, d)
         With most liftings the values at the control points. A surface with (l,) has values (k,), one
         with (l, d) values (k, d).
-    domain : array_like, (k, 2)
-        Points that the surface was fitted on. Their convex hull is kept; outside it the surface extrapolates.
+    domain : array_like, (k, 2), or Region
+        Points that the surface was fitted on, or what they cover. Their convex hull is kept; outside it the surface
+        extrapolates.
     smoothing : float
         Weight of the bending energy that it was fitted with.
 
@@ -130,43 +127,14 @@ class Surface:
     array([[-0.162, -0.162,  0.973]])
     """
 
-    lifting: Lifting
-    parameters: Floats
-    domain: Floats
-    smoothing: float = 0.0
     kind: ClassVar[str] = "surface"
 
-    def __post_init__(self) -> None:
-        check_lifting(self.lifting)
-        parameters = check.columns(self.parameters, "parameters", len(self.control_points)).copy()
-        domain = covered_region(self.domain, "domain")
-        for name, array in (("parameters", parameters), ("domain", domain)):
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        rule = "It must be a number of at least 0."
-        object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
-
-    def __reduce__(self) -> tuple[type[Self], tuple[Lifting, Floats, Floats, float]]:
-        # Read-only again once unpickled.
-        return type(self), (self.lifting, self.parameters, self.domain, self.smoothing)
+    def _checked_parameters(self) -> Floats:
+        return check.columns(self.parameters, "parameters", len(self.control_points))
 
     def __repr__(self) -> str:
         what = "depth" if self._dimension == 1 else f"{self._dimension} values"
-        smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
-        return f"Surface({what}, {self.lifting.name}, {len(self.control_points)} control points{smoothing})"
-
-    @property
-    def control_points(self) -> Floats:
-        """Control points, (l, 2).
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> mx.fit_surface(square, [0, 2, 2, 5], square[:3]).control_points
-        array([[0., 0.], [2., 0.], [0., 2.]])
-        """
-        return self.lifting.control_points
+        return f"Surface({what}, {self._description()})"
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Return the surface's values.
@@ -283,11 +251,11 @@ class Surface:
         array([[0, 1, 4], [0, 4, 3], [1, 2, 4], [3, 4, 6]])
         """
         x, y = self._axes(step, shape)
-        inside = _inside(self.domain, x, y)
-        values = np.full((*inside.shape, *self.parameters.shape[1:]), np.nan)
-        if inside.any():
-            values[inside] = self(_positions(x, y)[inside.ravel()])
-        return SurfaceGrid(x, y, values, inside, _triangles(inside))
+        kept = inside(self.domain, x, y[:, None])
+        values = np.full((*kept.shape, *self.parameters.shape[1:]), np.nan)
+        if kept.any():
+            values[kept] = self(_positions(x, y)[kept.ravel()])
+        return SurfaceGrid(x, y, values, kept, _triangles(kept))
 
     def write_mesh(
         self,
@@ -345,63 +313,6 @@ class Surface:
             texture = self._texture(points) if self._dimension == 3 else None
             meshes.write_obj(path, vertices, triangles, normals, texture)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the surface to a file, which `mexpress.load` reads.
-
-        Parameters
-        ----------
-        path : str or path
-            Name of the file, taken as it is.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import tempfile
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     mx.fit_surface(square, [0, 2, 2, 5], square).save(f"{folder}/surface.npz")
-        ...     mx.load(f"{folder}/surface.npz")
-        Surface(depth, tps, 4 control points)
-        """
-        files.save(self, path)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that describe the surface, by name.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> list(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
-        ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
-        """
-        return {
-            "lifting": np.array(self.lifting.name),
-            "control_points": self.control_points,
-            "parameters": self.parameters,
-            "domain": self.domain,
-            "smoothing": np.array(self.smoothing),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild a surface from the arrays of `to_arrays`.
-
-        Parameters
-        ----------
-        arrays : mapping of str to ndarray
-            As `to_arrays` returns them; others are ignored.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> mx.Surface.from_arrays(mx.fit_surface(square, [0, 2, 2, 5], square).to_arrays())
-        Surface(depth, tps, 4 control points)
-        """
-        lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
-        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
-
     @property
     def _columns(self) -> Floats:
         return self.parameters.reshape(len(self.parameters), -1)
@@ -425,16 +336,14 @@ class Surface:
             return low[0] + np.linspace(0, extent[0], columns), low[1] + np.linspace(0, extent[1], rows)
         spacing = self._default_step() if step is None else check.positive(step, "step")
         with np.errstate(over="ignore"):
-            columns, rows = np.floor(extent / spacing + _SLACK) + 1
+            columns, rows = np.floor(extent / spacing + EDGE) + 1
         _check_samples(columns * rows, "step", f"{spacing:g}")
         return low[0] + spacing * np.arange(columns), low[1] + spacing * np.arange(rows)
 
     def _default_step(self) -> float:
         """Return the step that gives about 10,000 samples inside, but not too many in all."""
-        about, extent = self.domain - self.domain[0], np.ptp(self.domain, axis=0)
-        following = np.roll(about, -1, axis=0)
-        area = 0.5 * float((about[:, 0] * following[:, 1] - about[:, 1] * following[:, 0]).sum())
-        return float(np.sqrt(max(area / _SAMPLES, extent.prod() / (100 * _SAMPLES))))
+        extent = np.ptp(self.domain, axis=0)
+        return float(np.sqrt(max(area(self.domain) / _SAMPLES, extent.prod() / (100 * _SAMPLES))))
 
     def _texture(self, points: Floats) -> Floats:
         right, up = ((points - self.domain.min(axis=0)) / np.ptp(self.domain, axis=0)).T
@@ -457,22 +366,6 @@ def _check_samples(number: float, name: str, given: str) -> None:
 
 def _positions(x: Floats, y: Floats) -> Floats:
     return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
-
-
-def _inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Tell which samples of a grid are in a convex region whose left and right ends the grid keeps to.
-
-    A convex region is above the lines of all its lower edges, which run to the right, and below those of its
-    upper edges.
-    """
-    extent = np.ptp(corners, axis=0)
-    edges = np.roll(corners, -1, axis=0) - corners
-    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # the others are the ends
-    (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
-    lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
-    slack = _SLACK * extent[1]
-    above = y[:, None] >= lines[dx > 0].max(axis=0) - slack
-    return np.asarray(above & (y[:, None] <= lines[dx < 0].min(axis=0) + slack))
 
 
 def _triangles(inside: NDArray[np.bool_]) -> Integers:

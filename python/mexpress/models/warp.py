@@ -9,20 +9,18 @@ Examples
 array([[ 80., 100.]])
 """
 
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.liftings import Lifting, check_lifting, make_lifting
+from mexpress.geometry import diagonal, lattice, nearest
 from mexpress.models import files
-from mexpress.placement import covered_region, lattice
+from mexpress.models.base import Model
 
 __all__ = ["Warp"]
 
@@ -32,7 +30,7 @@ _SAMPLES = 1000
 
 @files.storable
 @dataclass(frozen=True, eq=False, repr=False)
-class Warp:
+class Warp(Model):
     """A map from points of a source image to points of a target image.
 
     With nu the lifting and p_a the columns of the parameters, q' = (nu . p_1, nu . p_2) / (nu . p_3): the
@@ -47,9 +45,9 @@ class Warp:
         Of the numerators, in pixels of the target image, and of the denominator, whose mean is 1 (eq. 19);
         with most liftings the values at the control points. A common factor of all three columns changes
         nothing.
-    domain : array_like, (k, 2)
-        Points of the source image that the warp was fitted on. Their convex hull is kept; outside it the
-        warp extrapolates.
+    domain : array_like, (k, 2), or Region
+        Points of the source image that the warp was fitted on, or what they cover. Their convex hull is kept; outside
+        it the warp extrapolates.
     smoothing : float
         Weight of the bending energy that it was fitted with.
 
@@ -79,30 +77,19 @@ class Warp:
     array([[[1., 0.], [0., 2.]]])
     """
 
-    lifting: Lifting
-    parameters: Floats
-    domain: Floats
-    smoothing: float = 0.0
     kind: ClassVar[str] = "warp"
 
-    def __post_init__(self) -> None:
-        check_lifting(self.lifting)
-        parameters = check.matrix(self.parameters, "parameters").copy()
-        count = len(self.lifting.control_points)
+    def _checked_parameters(self) -> Floats:
+        parameters = check.matrix(self.parameters, "parameters")
+        count = len(self.control_points)
         if parameters.shape not in {(count, 2), (count, 3)}:
             rule = f"Their shape must be ({count}, 2) or ({count}, 3) for {count} control points."
             check.refuse("parameters", rule, f"{parameters.shape}")
-        domain = covered_region(self.domain, "domain")
-        for name, array in (("parameters", parameters), ("domain", domain)):
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        rule = "It must be a number of at least 0."
-        object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
+        return parameters
 
     def __repr__(self) -> str:
         form = "fractional " if self.fractional else ""
-        smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
-        return f"Warp({form}{self.lifting.name}, {len(self.control_points)} control points{smoothing})"
+        return f"Warp({form}{self._description()})"
 
     @property
     def fractional(self) -> bool:
@@ -117,20 +104,6 @@ class Warp:
         True
         """
         return bool(self.parameters.shape[1] == 3)
-
-    @property
-    def control_points(self) -> Floats:
-        """Control points in the source image, (l, 2).
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp = mx.fit_warp(square, [[0, 0], [200, 0], [0, 100], [200, 100]], square[:3], fractional=False)
-        >>> warp.control_points
-        array([[  0.,   0.], [100.,   0.], [  0., 100.]])
-        """
-        return self.lifting.control_points
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Map points of the source image to the target image.
@@ -231,7 +204,7 @@ class Warp:
         return np.asarray(~(self._denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
 
     def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell where the warp folds: where it turns the plane over, other than over most of the domain.
+        """Tell where the warp folds: where the Jacobian's determinant has not the sign it has over most of the domain.
 
         Parameters
         ----------
@@ -290,20 +263,20 @@ class Warp:
         usable = self._samples[~self.vanishes(self._samples)]
         if not len(usable):
             return np.full_like(points, np.nan)
-        found = usable[_nearest(points, self._map(usable))]
-        error = points - self._map(found)
+        sources = usable[nearest(points, self._map(usable))[0]]
+        error = points - self._map(sources)
         damping = np.ones(len(points))
         for _ in range(max_steps):
             far = np.flatnonzero(_norm(error) > tolerance)
             if not len(far):
                 break
-            trial = found[far] + damping[far, None] * self._newton_step(found[far], error[far])
+            trial = sources[far] + damping[far, None] * self._newton_step(sources[far], error[far])
             trial_error = points[far] - self._map(trial)
             better = _norm(trial_error) < _norm(error[far])  # False for NaN
-            found[far[better]], error[far[better]] = trial[better], trial_error[better]
+            sources[far[better]], error[far[better]] = trial[better], trial_error[better]
             damping[far] = np.where(better, np.minimum(1, 2 * damping[far]), damping[far] / 2)
-        found[(_norm(error) > tolerance) | self.vanishes(found)] = np.nan
-        return found
+        sources[(_norm(error) > tolerance) | self.vanishes(sources)] = np.nan
+        return sources
 
     def dense_map(self, width: int, height: int) -> NDArray[np.float32]:
         """Return the target position of every pixel of the source image, for `cv2.remap`.
@@ -336,66 +309,6 @@ class Warp:
             with np.errstate(over="ignore"):
                 positions[:, y] = row.T
         return positions
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the warp to a file, which `mexpress.load` reads.
-
-        Parameters
-        ----------
-        path : str or path
-            Name of the file, taken as it is.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import tempfile
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     warp.save(f"{folder}/warp.npz")
-        ...     mx.load(f"{folder}/warp.npz")
-        Warp(fractional tps, 3 control points)
-        """
-        files.save(self, path)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that describe the warp, by name.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
-        >>> list(warp.to_arrays())
-        ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
-        """
-        return {
-            "lifting": np.array(self.lifting.name),
-            "control_points": self.control_points,
-            "parameters": self.parameters,
-            "domain": self.domain,
-            "smoothing": np.array(self.smoothing),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild a warp from the arrays of `to_arrays`.
-
-        Parameters
-        ----------
-        arrays : mapping of str to ndarray
-            As `to_arrays` returns them; others are ignored.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
-        >>> mx.Warp.from_arrays(warp.to_arrays())
-        Warp(fractional tps, 3 control points)
-        """
-        lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
-        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
 
     @cached_property
     def _samples(self) -> Floats:
@@ -436,24 +349,12 @@ class Warp:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             step = np.column_stack([d * u - b * v, a * v - c * u]) / _determinant(jacobian)[:, None]
         step[~np.isfinite(step).all(axis=1)] = 0
-        longest = np.hypot(*np.ptp(self.domain, axis=0))
+        longest = diagonal(self.domain)
         return np.asarray(step * (longest / np.maximum(_norm(step), longest))[:, None])
 
 
 def _determinant(matrices: Floats) -> Floats:
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
-
-
-def _nearest(points: Floats, others: Floats) -> NDArray[np.intp]:
-    """Return the index of the nearest of the others to every point."""
-    centre = others.mean(axis=0)
-    points, others = points - centre, others - centre
-    nearest = np.empty(len(points), dtype=np.intp)
-    step = 1 + (1 << 18) // len(others)
-    for first in range(0, len(points), step):
-        squared = (others**2).sum(axis=1) - 2 * points[first : first + step] @ others.T  # but for a constant
-        nearest[first : first + step] = squared.argmin(axis=1)
-    return nearest
 
 
 def _norm(vectors: Floats) -> Floats:

@@ -2,25 +2,22 @@
 
 Examples
 --------
-See `mexpress.fit_warp` and `mexpress.fit_surface`.
+>>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+>>> fit_surface(square, [0, 2, 2, 5], square)([[1, 1]]).round(6)
+array([2.25])
 """
-
-import math
 
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
-from mexpress._validation import Floats
-from mexpress.criteria import Judge, parse
+from mexpress.criteria import Scorer, parse
 from mexpress.liftings import make_lifting
-from mexpress.models import Design, matched, measured_data, surface_design, warp_design
-from mexpress.models.surface import Surface
-from mexpress.models.warp import Warp
-from mexpress.placement import area
-from mexpress.selection.candidates import Jury, default_criterion, slack_of
-from mexpress.selection.selection import of_sweep
-from mexpress.selection.sweep import Model, one_by_one
-from mexpress.selection.weights import weights_of
+from mexpress.models import CardinalBasis, Design, ModelT, Surface, Warp
+from mexpress.selection.candidates import CriteriaRequest, default_criterion
+from mexpress.selection.data import Matches, Samples
+from mexpress.selection.selection import selection_from_sweep
+from mexpress.selection.sweep import sweep_designs
+from mexpress.selection.weights import smoothing_weights, tie_slack
 
 __all__ = ["fit_surface", "fit_warp"]
 
@@ -78,12 +75,11 @@ def fit_warp(
     >>> warp([[50, 0], [100, 100]]).round(6) + 0.0
     array([[ 50.,   0.], [ 80., 100.]])
     """
-    fractional, size = check.flag(fractional, "fractional"), check.image_size(image_size)
-    design = warp_design(make_lifting(lifting, control_points), source, target, fractional)
-    source, _ = matched(source, target)
-    diagonal = None if size is None else math.hypot(*size)
-    jury = Jury(default_criterion(criterion, smoothing), (), source, diagonal, seed, threads)
-    return _fit(design, design.domain, smoothing, jury, "warp", "matches")
+    fractional = check.flag(fractional, "fractional")
+    basis = CardinalBasis(make_lifting(lifting, control_points))
+    matches = Matches.of(source, target, image_size)
+    request = CriteriaRequest(default_criterion(criterion, smoothing), (), matches, seed, threads)
+    return _fit(matches.design(basis, fractional), smoothing, request, "warp", "matches")
 
 
 def fit_surface(
@@ -135,33 +131,27 @@ def fit_surface(
     >>> surface([[2, 2], [1, 1]]).round(6)
     array([5.  , 2.25])
     """
-    design = surface_design(make_lifting(lifting, control_points), points, values)
-    where, _, region = measured_data(points, values)
-    jury = Jury(default_criterion(criterion, smoothing), (), where, None, seed, threads)
-    return _fit(design, region, smoothing, jury, "surface", "data")
+    basis, data = CardinalBasis(make_lifting(lifting, control_points)), Samples.of(points, values)
+    request = CriteriaRequest(default_criterion(criterion, smoothing), (), data, seed, threads)
+    return _fit(data.design(basis), smoothing, request, "surface", "data")
 
 
 def _fit(
-    design: Design[Model],
-    region: Floats,
+    design: Design[ModelT],
     smoothing: float | ArrayLike | str,
-    jury: Jury,
+    request: CriteriaRequest,
     what: str,
     data: str,
-) -> Model:
+) -> ModelT:
     """Fit one design, with the best of the weights if there are several."""
-    parse(jury.criterion)
-    check.generator(jury.seed)
-    n = len(jury.points)
-    weights = weights_of(smoothing, n, area(region), design.count)
-    place = 0, 0
-    if len(weights) > 1:
-        name, judge = jury.judge(nested=False)
-        sweep = one_by_one([design], weights, judge, jury.threads, lambda: None)
-        place = of_sweep(name, sweep, slack_of(smoothing, n)).place
-    else:
-        sweep = one_by_one([design], weights, Judge({}, {}), jury.threads, lambda: None)
-    model = sweep.fitted(*place)
+    parse(request.criterion)
+    check.generator(request.seed)
+    n = len(request.data.points)
+    weights = smoothing_weights(smoothing, n, request.data.domain.area, design.count)
+    name, scorer = request.scorer(nested=False) if len(weights) > 1 else ("", Scorer({}, {}))
+    sweep = sweep_designs([design], weights, scorer, request.threads, lambda: None)
+    place = selection_from_sweep(name, sweep, tie_slack(smoothing, n)).place if name else (0, 0)
+    model = sweep.model(*place)
     if model is None:
         rule = f"The {data} must determine the {what}, so take fewer control points, or smoothing above 0."
         given = f"{design.count}, hence {sweep.unknowns[0]} unknowns, and {n} {data} of rank {sweep.ranks[0]} in all"

@@ -1,8 +1,13 @@
-"""Selections whose data can be doubted: which of them their neighbourhoods contradict, and a fit that heeds it.
+"""Selections that know their data and their model: scored by radius, searched for suspects, fitted again.
 
 Examples
 --------
-See `mexpress.select_warp`.
+>>> import mexpress as mx
+>>> import numpy as np
+>>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
+>>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]), max_count=40)
+>>> isinstance(selection, FittedSelection), selection.radii([0, 5]).percents
+(True, array([0., 5.]))
 """
 
 from __future__ import annotations
@@ -18,21 +23,21 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.criteria import Judge
+from mexpress.criteria import Scorer
+from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
-from mexpress.liftings import Lifting
-from mexpress.models import Design
-from mexpress.placement import covered_region
-from mexpress.radii import RadiusCurve, score_by_radius
-from mexpress.schemes import exclusion_radius
+from mexpress.models import CardinalBasis, Design, ModelT
+from mexpress.radii import RadiusCurve, radius_curve
+from mexpress.schemes import Places
+from mexpress.selection.candidates import CriteriaRequest
+from mexpress.selection.data import Data
 from mexpress.selection.selection import Selection
-from mexpress.selection.sweep import Model, penalised
 from mexpress.suspicion import Suspects, suspects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ModelSelection"]
+__all__ = ["FittedSelection"]
 
 _CRITERION = "ER10"
 
@@ -41,16 +46,16 @@ _STIFFNESSES = 10.0 ** np.arange(-6, 1)
 
 
 @dataclass(frozen=True)
-class Trials(Generic[Model]):
-    """A few models from stiff to supple, of which a criterion chooses for given weights of the data."""
+class Trials(Generic[ModelT]):
+    """A few models from stiff to flexible, of which a criterion chooses for given weights of the data."""
 
-    pairs: list[tuple[Design[Model], float]]
-    judge: Judge
+    pairs: list[tuple[Design[ModelT], float]]
+    scorer: Scorer
     threads: int | None
 
-    def best(self, weights: Floats) -> tuple[LeastSquares, Design[Model], float]:
-        fits = [penalised(design, stiffness, weights, self.threads) for design, stiffness in self.pairs]
-        scores = [self.judge.scores(fit, self.threads)[_CRITERION].value for fit in fits]
+    def best(self, weights: Floats) -> tuple[LeastSquares, Design[ModelT], float]:
+        fits = [design.weighted(weights).fit(stiffness, self.threads) for design, stiffness in self.pairs]
+        scores = [self.scorer.scores(fit, self.threads)[_CRITERION].value for fit in fits]
         if np.isnan(scores).all():
             check.refuse("points", f"{_CRITERION} must have a score.", "data that are too few for it")
         k = int(np.nanargmin(scores))
@@ -58,35 +63,31 @@ class Trials(Generic[Model]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModelSelection(Selection, Generic[Model]):
-    """A selection that knows its data, and the model that it selects.
+class FittedSelection(Selection, Generic[ModelT]):
+    """A selection with its data, and the model that it selects: `WarpSelection` or `SurfaceSelection`."""
 
-    Examples
-    --------
-    See `mexpress.WarpSelection` and `mexpress.SurfaceSelection`.
-    """
+    @property
+    @abstractmethod
+    def _model(self) -> ModelT:
+        """The selected warp or surface."""
 
     @abstractmethod
-    def _data(self) -> tuple[Floats, Floats, float]:
-        """Where the data are, their values, and what radii are percentages of."""
+    def _data(self) -> Data:
+        """The data, checked when the selection was made."""
+
+    @abstractmethod
+    def _design(self, basis: CardinalBasis) -> Design[ModelT]:
+        """The least-squares problem over a basis."""
 
     @property
     def _unit(self) -> str | None:
         """Of the values, if it is known."""
         return None
 
-    @abstractmethod
-    def _lifting(self) -> Lifting:
-        """That of the selected model."""
-
-    @abstractmethod
-    def _design(self, lifting: Lifting) -> Design[Model]:
-        """The least-squares problem of a lifting."""
-
     @property
     @abstractmethod
-    def _supplest(self) -> int:
-        """Control points of the supplest model that looks for suspects, at most."""
+    def _most_flexible_count(self) -> int:
+        """Control points of the most flexible model that looks for suspects, at most."""
 
     def least_squares(self, weights: ArrayLike | None = None, threads: int | None = None) -> LeastSquares:
         """Return the least-squares problem of the selected model, to be cross-validated further.
@@ -106,7 +107,10 @@ class ModelSelection(Selection, Generic[Model]):
         >>> mx.select_warp(source, 2 * source + 1, counts=[3, 4, 5]).least_squares().n_data
         20
         """
-        return penalised(self._design(self._lifting()), self.smoothing, weights, threads)
+        design = self._design(CardinalBasis(self._model.lifting))
+        return design.weighted(None if weights is None else check.real(weights, "weights")).fit(
+            self.smoothing, threads
+        )
 
     def radii(self, percents: Sequence[float] | None = None, threads: int | None = None) -> RadiusCurve:
         """Score the selected model by local exclusion with several radii, see `mexpress.radii.score_by_radius`.
@@ -126,8 +130,9 @@ class ModelSelection(Selection, Generic[Model]):
         >>> mx.select_warp(source, source + np.sin(source / 30), counts=[3, 9]).radii([0, 5, 10]).percents
         array([ 0.,  5., 10.])
         """
-        points, _, diagonal = self._data()
-        return score_by_radius(self.least_squares(threads=threads), points, diagonal, percents, threads)
+        data = self._data()
+        fit = self.least_squares(threads=threads)
+        return radius_curve(fit, Places(data.points), data.domain, data.diagonal, percents, threads)
 
     def plot_radii(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the selected model's score against the radius within which data are held out (extra ``plot``).
@@ -180,12 +185,14 @@ class ModelSelection(Selection, Generic[Model]):
         >>> mx.select_warp(source, target, counts=[3, 9]).suspects().indices
         array([7])
         """
-        points, values, diagonal = self._data()
-        scheme = exclusion_radius(points, check.positive(radius, "radius") / 100 * diagonal, threads)
+        data = self._data()
+        scheme = Places(data.points).within(check.positive(radius, "radius") / 100 * data.diagonal, threads)
         trials = self._trials(threads)
-        return suspects(lambda weights: trials.best(weights)[0], scheme, values, threshold, threads=threads)
+        return suspects(
+            lambda weights: trials.best(weights)[0], scheme, data.values, threshold, threads=threads
+        )
 
-    def reweighted(self, weights: ArrayLike, threads: int | None = None) -> Model:
+    def reweighted(self, weights: ArrayLike, threads: int | None = None) -> ModelT:
         """Fit and choose the model again, among those of `suspects`, with weights of the data.
 
         Parameters
@@ -213,19 +220,19 @@ class ModelSelection(Selection, Generic[Model]):
         True
         """
         fit, design, stiffness = self._trials(threads).best(check.real(weights, "weights"))
-        return design.model(fit.coefficients, stiffness)
+        return design.model(fit.coefficients, smoothing=stiffness)
 
-    def _trials(self, threads: int | None) -> Trials[Model]:
-        points, _, diagonal = self._data()
-        functions, region = type(self._lifting()), covered_region(points)
-        most = max(4, min(len(points) // 3, self._supplest))
-        counts = functions.counts(region, most)
+    def _trials(self, threads: int | None) -> Trials[ModelT]:
+        data, lifting = self._data(), type(self._model.lifting)
+        most = max(4, min(len(data.points) // 3, self._most_flexible_count))
+        counts = lifting.counts(data.domain.corners, most)
         few = sorted({counts[0], counts[len(counts) // 3], counts[-1]})
-        designs = [self._design(functions(functions.place(region, count, 0, threads))) for count in few]
-        size = float(np.hypot(*np.ptp(points, axis=0)))
+        bases = [CardinalBasis(lifting(lifting.place(data.domain, count, 0, threads))) for count in few]
+        unit = diagonal(data.points) ** 2
         pairs = [
-            (design, float(size**2 * stiffness))
-            for design in designs
+            (design, float(unit * stiffness))
+            for design in map(self._design, bases)
             for stiffness in (_STIFFNESSES if len(design.bending()) else [0.0])
         ]
-        return Trials(pairs, Judge.of([_CRITERION], points, diagonal, 0, threads), threads)
+        _, scorer = CriteriaRequest(_CRITERION, [], data, 0, threads).scorer(nested=False)
+        return Trials(pairs, scorer, threads)

@@ -2,12 +2,13 @@
 
 Examples
 --------
-See `Selection`.
+>>> selection = Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {})
+>>> selection.count, selection.score
+(4, 1.0)
 """
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -17,12 +18,13 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
-from mexpress.selection.sweep import Model, Sweep
+from mexpress.models import ModelT
+from mexpress.selection.sweep import Sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Selection", "of_sweep"]
+__all__ = ["Selection", "selection_from_sweep"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,18 +41,17 @@ class Selection:
         Every criterion's score of every count and weight, in the responses' unit (AIC and BIC have none); NaN
         where undefined. (k,) arrays are taken as (k, 1).
     undefined : dict of str to dict of int to int64 array
-        By criterion and count, the data whose prediction lacks the rank at every weight, the largest one's; counts
-        without any are left out.
+        Data that cannot be predicted at any weight, by criterion and count (as found at the largest weight); counts
+        with none are absent.
     weights : (w,) array, optional
         Weights of the bending energy that were tried, increasing; 0 alone if not given.
     parameters : (k, w) array, optional
         Effective numbers of parameters, trace(H); NaN where a model is not determined.
     open : dict of int to int, optional
         By count, how many unknowns the data leave open, so that only the bending energy determines them; counts
-        without any are left out.
+        with none are absent.
     slack : float, default 0
-        Scores within this fraction of the smallest count as equal to it, and the model with the fewest effective
-        parameters is chosen among them.
+        Scores within this fraction of the best are ties; the model with the fewest effective parameters wins.
 
     Examples
     --------
@@ -103,12 +104,14 @@ class Selection:
     def selected(self) -> dict[str, int | None]:
         """How many control points each criterion would choose; None if it has no score.
 
-        Those of its smallest score, or with `slack` of the model with the fewest effective parameters near it; AIC and
-        BIC, which weigh parameters themselves and have no unit, have no slack.
+        AIC and BIC, which weigh parameters themselves and have no unit, have no slack.
 
         Examples
         --------
-        See `Selection`.
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).selected
+        {'FIT': 4}
         """
         places = {name: self._place(name) for name in self.maps}
         return {name: None if at is None else int(self.counts[at[0]]) for name, at in places.items()}
@@ -198,31 +201,25 @@ class Selection:
         return plot_selection(self, path)
 
 
-def of_sweep(criterion: str, sweep: Sweep[Model], slack: float) -> Selection:
-    """Return what a sweep says.
-
-    Examples
-    --------
-    See `mexpress.select_warp`.
-    """
-    maps = {
-        name: np.array([[score.value for score in row] for row in rows])
-        for name, rows in sweep.scores.items()
+def selection_from_sweep(criterion: str, sweep: Sweep[ModelT], slack: float) -> Selection:
+    """Return what the scores of a sweep say."""
+    undefined = {
+        name: {
+            count: data
+            for count, row, data in zip(sweep.counts.tolist(), scores, sweep.undefined[name], strict=True)
+            if data.size and np.isnan(row).all()
+        }
+        for name, scores in sweep.scores.items()
     }
-    undefined: dict[str, dict[int, Integers]] = {}
-    for name, rows in sweep.scores.items():
-        for count, row in zip(sweep.counts.tolist(), rows, strict=True):
-            if row[-1].undefined.size and all(math.isnan(score.value) for score in row):
-                undefined.setdefault(name, {})[count] = row[-1].undefined
-    short = sweep.unknowns - sweep.ranks
-    open_ = {int(count): int(lack) for count, lack in zip(sweep.counts, short, strict=True) if lack > 0}
+    lack = sweep.unknowns - sweep.ranks
+    smoothed = lack > 0 if sweep.weights[-1] > 0 else np.zeros(len(lack), dtype=np.bool_)
     return Selection(
         criterion,
         sweep.counts,
-        maps,
-        undefined,
+        sweep.scores,
+        {name: by_count for name, by_count in undefined.items() if by_count},
         weights=sweep.weights,
         parameters=sweep.parameters,
-        open=open_ if sweep.weights[-1] > 0 else {},
+        open=dict(zip(sweep.counts[smoothed].tolist(), lack[smoothed].tolist(), strict=True)),
         slack=slack,
     )

@@ -2,7 +2,10 @@
 
 Examples
 --------
-See `select_surface`.
+>>> import numpy as np
+>>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
+>>> select_surface(points, np.sin(6 * points[:, 0]), max_count=40).criterion
+'ER10'
 """
 
 from __future__ import annotations
@@ -11,20 +14,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
-from mexpress.models import SurfaceDesign, measured_data, nested_surface_design, surface_design
-from mexpress.models.surface import Surface
-from mexpress.placement import area, by_residual, farthest_first
+from mexpress.geometry import Region
+from mexpress.liftings import lifting_named
+from mexpress.models import CardinalBasis, Design, Surface
+from mexpress.placement import farthest_order, residual_order
 from mexpress.schemes import Scheme
-from mexpress.selection.candidates import Jury, Models, default_criterion, most_of, slack_of
-from mexpress.selection.fitted import ModelSelection
-from mexpress.selection.selection import of_sweep
-from mexpress.selection.weights import is_auto, weights_of
+from mexpress.selection.candidates import CriteriaRequest, checked_placement, default_criterion, select
+from mexpress.selection.data import Samples
+from mexpress.selection.fitted import FittedSelection
+from mexpress.selection.weights import is_automatic, largest_automatic_count
 
 __all__ = ["SurfaceSelection", "select_surface"]
 
@@ -33,7 +35,7 @@ MOST = 175
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SurfaceSelection(ModelSelection[Surface]):
+class SurfaceSelection(FittedSelection[Surface]):
     """A surface with the number of control points that a criterion chose; see `Selection` for the other fields.
 
     Parameters
@@ -68,17 +70,18 @@ class SurfaceSelection(ModelSelection[Surface]):
     placement: str
 
     @property
-    def _supplest(self) -> int:
+    def _model(self) -> Surface:
+        return self.surface
+
+    @property
+    def _most_flexible_count(self) -> int:
         return 100
 
-    def _data(self) -> tuple[Floats, Floats, float]:
-        return self.points, self.values, float(np.hypot(*np.ptp(self.points, axis=0)))
+    def _data(self) -> Samples:
+        return Samples(self.points, self.values, None, Region(self.surface.domain))
 
-    def _lifting(self) -> Lifting:
-        return self.surface.lifting
-
-    def _design(self, lifting: Lifting) -> SurfaceDesign:
-        return surface_design(lifting, self.points, self.values)
+    def _design(self, basis: CardinalBasis) -> Design[Surface]:
+        return self._data().design(basis)
 
 
 def select_surface(
@@ -122,7 +125,7 @@ def select_surface(
         the diagonal if not given, see `mexpress.placement.by_residual`.
     smoothing : float, list of float or "auto", default 0
         Weight of the surface's bending energy beside the sum of squared residuals: larger is stiffer, down to a plane.
-        Of several, the best is selected together with the count. "auto" tries twenty, from no effect to nothing else,
+        Of several, the best is selected together with the count. "auto" tries twenty, from negligible to dominant,
         for the fewest and for the most control points.
     seed : int, default 0
         Of everything random: the same seed gives the same result, whatever the number of threads.
@@ -165,56 +168,37 @@ def select_surface(
     >>> smooth.smoothing > 0, smooth.maps["MATCHED"].shape
     (True, (2, 20))
     """
-    where, measured, region = measured_data(points, values)
-    n, auto = len(where), is_auto(smoothing)
-    usual = most_of(n, 1) if auto else MOST
+    data = Samples.of(points, values)
+    n, automatic = len(data.points), is_automatic(smoothing)
+    usual = largest_automatic_count(n, 1) if automatic else MOST
     most = usual if max_count is None else check.count(max_count, "max_count", 3)
     check.flag(progress, "progress")
     functions = lifting_named(lifting)
-    spread = _placement(placement, functions is ThinPlateSpline, auto)
-    ordered = None
-    if spread == "residual":
-        ordered = where[by_residual(where, measured, most, min_distance, seed, threads)]
-    elif spread == "nested":
-        ordered = where[farthest_first(where, most)]
-    tried = functions.counts(region, min(most, n) if ordered is None else len(ordered))
-    if auto:
-        tried = sorted({tried[0], tried[-1]})
-    weights = weights_of(smoothing, n, area(region), tried[-1])
-    models = Models(
+    choices = "residual", "nested", "lloyd"
+    spread = checked_placement(placement, functions, choices, "nested" if automatic else "residual")
+    orders = {
+        "residual": partial(
+            residual_order, data.points, data.values, min_distance=min_distance, seed=seed, threads=threads
+        ),
+        "nested": partial(farthest_order, data.points),
+    }
+    selection, sweep, ordered = select(
+        CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads),
+        data.design,
         functions,
-        tried,
-        weights,
-        ordered,
-        region,
-        partial(surface_design, points=where, values=measured),
-        partial(nested_surface_design, where, measured),
+        None,
+        min(most, n),
+        orders.get(spread),
+        smoothing,
+        "surface" if progress else None,
     )
-    jury = Jury(default_criterion(criterion, smoothing), criteria, where, None, seed, threads)
-    name, sweep = models.sweep(jury, "surface" if progress else None)
-    selection = of_sweep(name, sweep, slack_of(smoothing, n))
-    surface = sweep.fitted(*selection.place)
+    surface = sweep.model(*selection.place)
     assert surface is not None  # a score means that it is determined
-    kept = surface.control_points if ordered is None else ordered
     return SurfaceSelection(
         **vars(selection),
         surface=surface,
-        points=where,
-        values=measured,
-        control_points=kept,
+        points=data.points,
+        values=data.values,
+        control_points=surface.control_points if ordered is None else ordered,
         placement=spread,
     )
-
-
-def _placement(placement: str | None, splines: bool, auto: bool) -> str:
-    """How control points are spread, checked."""
-    if placement is None:
-        return ("nested" if auto else "residual") if splines else "lloyd"
-    if not isinstance(placement, str) or placement not in {"residual", "nested", "lloyd"}:
-        rule = 'It must be "residual", "nested" or "lloyd".'
-        check.refuse("placement", rule, check.describe(placement))
-    if placement != "lloyd" and not splines:
-        check.refuse(
-            "placement", 'It must be "lloyd" unless the lifting is "tps".', check.describe(placement)
-        )
-    return placement

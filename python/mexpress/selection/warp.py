@@ -2,44 +2,44 @@
 
 Examples
 --------
-See `select_warp`.
+>>> import numpy as np
+>>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
+>>> select_warp(source, 2 * source + 1, counts=[3, 4, 5]).criterion
+'ER10'
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.liftings import Lifting, ThinPlateSpline, lifting_named
-from mexpress.models import WarpDesign, matched, nested_warp_design, warp_design
-from mexpress.models.warp import Warp
-from mexpress.placement import area, covered_region, farthest_first
+from mexpress.geometry import Region
+from mexpress.liftings import lifting_named
+from mexpress.models import CardinalBasis, Design, Warp
+from mexpress.placement import farthest_order
 from mexpress.schemes import Scheme
 from mexpress.selection.candidates import (
-    Jury,
-    Models,
+    CriteriaRequest,
+    checked_counts,
+    checked_placement,
     default_criterion,
     largest_count,
-    most_of,
-    slack_of,
-    wished_counts,
+    select,
 )
-from mexpress.selection.fitted import ModelSelection
-from mexpress.selection.selection import of_sweep
-from mexpress.selection.weights import is_auto, weights_of
+from mexpress.selection.data import Matches
+from mexpress.selection.fitted import FittedSelection
+from mexpress.selection.weights import is_automatic, largest_automatic_count, several_weights
 
 __all__ = ["WarpSelection", "select_warp"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WarpSelection(ModelSelection[Warp]):
+class WarpSelection(FittedSelection[Warp]):
     """A warp with the number of control points that a criterion chose; see `Selection` for the other fields.
 
     Parameters
@@ -76,22 +76,22 @@ class WarpSelection(ModelSelection[Warp]):
         return self.warps[self.count]
 
     @property
-    def _supplest(self) -> int:
+    def _model(self) -> Warp:
+        return self.warp
+
+    @property
+    def _most_flexible_count(self) -> int:
         return 30
 
     @property
     def _unit(self) -> str:
         return "pixels of the target image"
 
-    def _data(self) -> tuple[Floats, Floats, float]:
-        return self.source, self.target, _diagonal(self.source, self.image_size)
+    def _data(self) -> Matches:
+        return Matches(self.source, self.target, None, Region(self.warp.domain), self.image_size)
 
-    def _lifting(self) -> Lifting:
-        return self.warp.lifting
-
-    def _design(self, lifting: Lifting) -> WarpDesign:
-        over_data = _over_data(self.placement)
-        return warp_design(lifting, self.source, self.target, self.warp.fractional, over_data)
+    def _design(self, basis: CardinalBasis) -> Design[Warp]:
+        return self._data().design(basis, self.warp.fractional, _over_data(self.placement))
 
 
 def select_warp(
@@ -140,7 +140,7 @@ def select_warp(
     smoothing : float, list of float or "auto", default 0
         Weight of the warp's bending energy beside the sum of squared residuals: larger is stiffer, down to an
         affine map or a homography. Of several, the best is selected together with the count. "auto" tries twenty,
-        from no effect to nothing else.
+        from negligible to dominant.
     image_size : (width, height), optional
         Of the source image in pixels; ERxx is a percentage of its diagonal. The source points' bounding box if
         not given.
@@ -179,70 +179,43 @@ def select_warp(
     >>> smooth.smoothing > 0, smooth.maps["MATCHED"].shape
     (True, (2, 20))
     """
-    source, target = matched(source, target)
-    region, n = covered_region(source, "source"), len(source)
-    wished = wished_counts(counts, n, "matches")
+    matches = Matches.of(source, target, image_size)
+    n, automatic = len(matches.source), is_automatic(smoothing)
+    wished = checked_counts(counts, n, "matches")
     if wished is None and n < 4:
         check.refuse("source", "There must be four matches at least.", f"{n}")
-    size = check.image_size(image_size)
     for name, flag in (("fractional", fractional), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
-    auto, extent = is_auto(smoothing), area(region)
-    most = most_of(n, 3 if fractional else 1) if auto else largest_count(n)
-    tried = functions.counts(region, most) if wished is None else wished.tolist()
-    if auto and wished is None:
-        tried = sorted({tried[0], tried[-1]})
-    weights = weights_of(smoothing, n, extent, tried[-1])
-    spread = _placement(placement, functions is ThinPlateSpline, len(weights) > 1)
-    ordered = None
-    if spread == "nested":
-        ordered = source[farthest_first(source, tried[-1])]
-        tried = sorted({min(count, len(ordered)) for count in tried})
-    models = Models(
+    usual = "nested" if several_weights(smoothing) else "lloyd"
+    spread = checked_placement(placement, functions, ("lloyd", "nested"), usual)
+    nested = spread == "nested"
+    selection, sweep, _ = select(
+        CriteriaRequest(default_criterion(criterion, smoothing), criteria, matches, seed, threads),
+        partial(matches.design, fractional=fractional, over_data=_over_data(spread)),
         functions,
-        tried,
-        weights,
-        ordered,
-        region,
-        partial(
-            warp_design, source=source, target=target, fractional=fractional, over_data=_over_data(spread)
-        ),
-        partial(nested_warp_design, source, target, fractional=fractional),
+        wished,
+        largest_automatic_count(n, 3 if fractional else 1) if automatic else largest_count(n),
+        partial(farthest_order, matches.source) if nested else None,
+        smoothing,
+        "warp" if progress else None,
     )
-    diagonal = _diagonal(source, size)
-    jury = Jury(default_criterion(criterion, smoothing), criteria, source, diagonal, seed, threads)
-    name, sweep = models.sweep(jury, "warp" if progress else None)
-    selection = of_sweep(name, sweep, slack_of(smoothing, n))
     warps = {}
     for k, count in enumerate(selection.counts.tolist()):
         w = selection.best_weight(k)
-        warp = sweep.fitted(k, len(weights) - 1 if w is None else w)
+        warp = sweep.model(k, -1 if w is None else w)
         if warp is not None:
             warps[count] = warp
     return WarpSelection(
-        **vars(selection), warps=warps, source=source, target=target, image_size=size, placement=spread
+        **vars(selection),
+        warps=warps,
+        source=matches.source,
+        target=matches.target,
+        image_size=matches.image_size,
+        placement=spread,
     )
-
-
-def _diagonal(source: Floats, size: tuple[float, float] | None) -> float:
-    """What ERxx is a percentage of: the image's diagonal, or that of the points' bounding box."""
-    return float(np.hypot(*np.ptp(source, axis=0))) if size is None else math.hypot(*size)
 
 
 def _over_data(placement: str) -> bool | None:
     """Whether denominators have mean one over the data, as nested models need it; None is as the lifting likes it."""
     return True if placement == "nested" else None
-
-
-def _placement(placement: str | None, splines: bool, several: bool) -> str:
-    """How control points are spread, checked."""
-    if placement is None:
-        return "nested" if splines and several else "lloyd"
-    if not isinstance(placement, str) or placement not in {"lloyd", "nested"}:
-        check.refuse("placement", 'It must be "lloyd" or "nested".', check.describe(placement))
-    if placement == "nested" and not splines:
-        check.refuse(
-            "placement", 'It must be "lloyd" unless the lifting is "tps".', check.describe(placement)
-        )
-    return placement

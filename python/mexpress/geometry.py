@@ -1,0 +1,291 @@
+"""The plane: the region that points cover, places spread evenly over it, and what is near what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+
+__all__ = ["Region", "area", "covered_region", "diagonal", "inside", "lattice", "nearest", "thinness"]
+
+NEAR_LINE = 1e-6
+"""Points are on a line when their spread across it is below this fraction of the spread along it."""
+
+EDGE = 1e-9
+"""A point this fraction of a region's extent outside of it counts as inside: rounding puts it there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The convex region that points cover, found once; to numpy it is the array of its corners.
+
+    Parameters
+    ----------
+    corners : ndarray, (k, 2)
+        As `covered_region` gives them.
+
+    Examples
+    --------
+    >>> Region.of([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1]]).area
+    12.0
+    """
+
+    corners: Floats
+
+    @classmethod
+    def of(cls, points: ArrayLike | Region, name: str = "points") -> Region:
+        """Return the region that points cover, or the region itself.
+
+        Examples
+        --------
+        >>> square = Region.of([[0, 0], [1, 0], [1, 1], [0, 1]])
+        >>> Region.of(square) is square
+        True
+        """
+        return points if isinstance(points, Region) else cls(covered_region(points, name))
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
+        return np.array(self.corners, dtype=dtype, copy=copy)
+
+    @cached_property
+    def area(self) -> float:
+        """In the squared unit of the corners."""
+        return area(self.corners)
+
+
+def thinness(points: Floats) -> float:
+    """Return the spread of points across their main direction over the spread along it.
+
+    Parameters
+    ----------
+    points : array, (n, 2)
+        Positions, in any unit: the ratio does not change with a similarity.
+
+    Returns
+    -------
+    float
+        Ratio of the two singular values of the centred points: 1 for a square, 0 on a line and for fewer
+        than three distinct points.
+
+    Examples
+    --------
+    >>> thinness(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 1.0], [10.0, 1.0]])).__round__(6)
+    0.1
+    """
+    centred = points - points.mean(axis=0)
+    size = np.abs(centred).max()
+    if len(points) < 3 or size == 0:
+        return 0.0
+    along, across = np.linalg.svd(centred / size, compute_uv=False)
+    return float(across / along)
+
+
+def covered_region(points: ArrayLike, name: str = "points") -> Floats:
+    """Return the convex hull of points: the region that they cover.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Positions, x then y.
+    name : str
+        What an error message calls them.
+
+    Returns
+    -------
+    ndarray, (k, 2)
+        Corners, counter-clockwise from the leftmost one (the lowest of them); none is on a straight edge.
+
+    Raises
+    ------
+    ValueError
+        If the points are fewer than three distinct ones or lie on a line: their spread across it is below
+        1e-6 of that along it.
+
+    Examples
+    --------
+    >>> covered_region([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1], [2, 0]])
+    array([[0., 0.], [4., 0.], [4., 3.], [0., 3.]])
+    """
+    return hull(check.points(points, name), name)
+
+
+def hull(points: Floats, name: str) -> Floats:
+    """`covered_region` of points that are checked."""
+    corners = _convex_hull(points)
+    if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
+        rule = "They must cover a region: three distinct points or more, not on a line."
+        check.refuse(name, rule, f"{len(points)} points on a line or in one place")
+    return corners
+
+
+def area(corners: Floats) -> float:
+    """Return the area of a convex region, in the squared unit of its corners, (k, 2).
+
+    Examples
+    --------
+    >>> area(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]]))
+    6.0
+    """
+    x, y = (corners - corners[0]).T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def diagonal(points: Floats) -> float:
+    """Return the length of the diagonal of the bounding box of points, (n, 2), in their unit.
+
+    Examples
+    --------
+    >>> diagonal(np.array([[0.0, 0.0], [3.0, 1.0], [1.0, 4.0]]))
+    5.0
+    """
+    return float(np.hypot(*np.ptp(points, axis=0)))
+
+
+def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
+    """Tell which places are in a convex region or, but for rounding, on its edge.
+
+    Parameters
+    ----------
+    corners : ndarray, (k, 2)
+        As `covered_region` gives them.
+    x, y : ndarray
+        Coordinates, of shapes that broadcast: (n,) and (n,) for n places, (columns,) and (rows, 1) for a grid.
+
+    Examples
+    --------
+    >>> triangle = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    >>> inside(triangle, np.array([0.5, 1.0, 1.5, -1.0]), np.array([0.5, 1.0, 1.5, 0.5]))
+    array([ True,  True, False, False])
+    """
+    # A convex region is above the lines of its lower edges, which run to the right, and below those of the upper ones.
+    low, extent = corners.min(axis=0), np.ptp(corners, axis=0)
+    edges = np.roll(corners, -1, axis=0) - corners
+    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # the others are the left and the right end
+    (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
+    lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
+    below, above = lines[dx > 0].max(axis=0), lines[dx < 0].min(axis=0)
+    between = (x >= low[0] - EDGE * extent[0]) & (x <= low[0] + (1 + EDGE) * extent[0])
+    return np.asarray(between & (y >= below - EDGE * extent[1]) & (y <= above + EDGE * extent[1]))
+
+
+def nearest(places: Floats, points: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Return which of n points, (n, 2), is nearest to each of k places, (k,), and how far away it is, (k,).
+
+    Examples
+    --------
+    >>> nearest(np.array([[0.0, 1.0], [9.0, 4.0]]), np.array([[0.0, 0.0], [9.0, 9.0]]))
+    (array([0, 1]), array([1., 5.]))
+    """
+    centre = points.mean(axis=0)
+    here, there = places - centre, points - centre
+    index = np.empty(len(here), dtype=np.intp)
+    step = 1 + (1 << 18) // len(there)
+    for first in range(0, len(here), step):
+        squared = (there**2).sum(axis=1) - 2 * here[first : first + step] @ there.T  # but for a constant
+        index[first : first + step] = squared.argmin(axis=1)
+    return index, np.asarray(np.hypot(*(places - points[index]).T))
+
+
+def lattice(corners: Floats, number: int) -> Floats:
+    """Return about `number` points spread evenly inside a convex region.
+
+    The regular grid is laid in coordinates where the region has unit covariance, so a thin or slanted region
+    has as many points across as along it.
+
+    Parameters
+    ----------
+    corners : ndarray, (k, 2)
+        Corners as `covered_region` gives them.
+    number : int
+        How many points are wanted; the grid's fit to the edges changes it by a few percent.
+
+    Returns
+    -------
+    ndarray, (s, 2)
+        Positions in the unit of the corners.
+
+    Examples
+    --------
+    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    >>> lattice(square, 4)
+    array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+    """
+    centroid, shape, size = moments(corners)
+    # A lower triangular map keeps vertical lines vertical, hence the order of the corners in x.
+    white = whitened(corners, centroid, shape)
+    step = np.sqrt(size / np.linalg.det(shape) / number)
+    x, y = (_cell_centres(coordinates, step) for coordinates in white.T)
+    last = np.lexsort((corners[:, 1], corners[:, 0]))[-1]
+    below, above = white[: last + 1], np.vstack([white[last:], white[:1]])[::-1]
+    lower, upper = (np.interp(x, *chain.T) for chain in (below, above))
+    # The slack keeps a point that rounding puts beside an edge, whatever the region's position.
+    kept = (y[:, None] >= lower - EDGE) & (y[:, None] <= upper + EDGE)
+    row, column = np.nonzero(kept)
+    return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
+
+
+def moments(corners: Floats) -> tuple[Floats, Floats, float]:
+    """Return centroid, lower Cholesky factor of the covariance, and area of a convex region.
+
+    A triangle that is a share S of the region, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T),
+    s = sum v_k.
+    """
+    fan = np.stack([np.broadcast_to(corners[0], corners[2:].shape), corners[1:-1], corners[2:]], axis=1)
+    first, second = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
+    areas = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    total = float(areas.sum())
+    shares = areas / total  # products of areas and lengths would underflow in tiny units
+    centroid = corners[0] + shares @ (first + second) / 3
+    about = fan - centroid
+    about = np.concatenate([about, about.sum(axis=1, keepdims=True)], axis=1)
+    covariance = np.einsum("t,tki,tkj->ij", shares, about, about) / 12
+    return centroid, np.asarray(np.linalg.cholesky(covariance)), total
+
+
+def whitened(points: Floats, centroid: Floats, shape: Floats) -> Floats:
+    """Return points in coordinates where a region of these `moments` has unit covariance."""
+    return np.asarray(np.linalg.solve(shape, (points - centroid).T).T)
+
+
+def _cell_centres(coordinates: Floats, step: float) -> Floats:
+    low, length = coordinates.min(), np.ptp(coordinates)
+    cells = max(1, round(length / step))
+    return np.asarray(low + (np.arange(cells) + 0.5) * (length / cells))
+
+
+def _convex_hull(points: Floats) -> Floats:
+    """Andrew's monotone chain, after the bulk of many points is dropped."""
+    if len(points) > 50:
+        points = _outer(points)
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
+    corners = _right_turns_removed(ordered)[:-1] + _right_turns_removed(ordered[::-1])[:-1]
+    return np.array(corners or ordered[:1], dtype=np.float64).reshape(-1, 2)
+
+
+def _outer(points: Floats) -> Floats:
+    """Points that are not strictly inside the polygon of the extreme ones in sixteen directions."""
+    angles = np.arange(16) * (np.pi / 8)
+    extremes = points[(points @ np.vstack([np.cos(angles), np.sin(angles)])).argmax(axis=0)]
+    corners = _convex_hull(extremes)
+    within = np.full(len(points), len(corners) > 2)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        within &= (bx - ax) * (points[:, 1] - ay) > (by - ay) * (points[:, 0] - ax)
+    return np.asarray(points[~within])
+
+
+def _right_turns_removed(ordered: list[list[float]]) -> list[list[float]]:
+    chain: list[list[float]] = []
+    for x, y in ordered:
+        while len(chain) > 1:
+            (ax, ay), (bx, by) = chain[-2:]
+            if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
+                break
+            chain.pop()
+        if chain != [[x, y]]:
+            chain.append([x, y])
+    return chain

@@ -1,0 +1,123 @@
+"""Sets of indices in compressed rows: what is held out, what is validated, which rows a datum has.
+
+Examples
+--------
+>>> sets = compress([np.array([3, 1]), np.array([2])])
+>>> sets, sets[0]
+(IndexSets(2 sets, 3 indices), array([1, 3]))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Integers
+
+__all__ = ["IndexSets", "checked", "compress", "concatenate", "contained", "singletons"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IndexSets(Sequence[Integers]):
+    """Sets of indices in compressed rows: a sequence of int64 arrays.
+
+    Whoever takes sets checks them: a `Scheme`, and `LeastSquares.hat_blocks`.
+
+    Parameters
+    ----------
+    offsets : (k + 1,) int64 array
+        Set s is ``indices[offsets[s]:offsets[s + 1]]``.
+    indices : (t,) int64 array
+        The members, set after set, increasing in each.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> sets = mx.schemes.from_sets([[0, 1], [2]]).held_out
+    >>> len(sets), sets[0]
+    (2, array([0, 1]))
+    """
+
+    offsets: Integers
+    indices: Integers
+
+    @property
+    def sizes(self) -> Integers:
+        """Number of members of each set, (k,).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> mx.schemes.from_sets([[0, 1], [2]]).held_out.sizes
+        array([2, 1])
+        """
+        return np.diff(self.offsets)
+
+    @property
+    def arrays(self) -> tuple[Integers, Integers]:
+        """As the core takes them: (offsets, indices)."""
+        return self.offsets, self.indices
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, s: Any) -> Any:
+        if isinstance(s, slice):
+            return [self[i] for i in range(*s.indices(len(self)))]
+        i = s + len(self) if s < 0 else s
+        if not 0 <= i < len(self):
+            raise IndexError(s)
+        return self.indices[self.offsets[i] : self.offsets[i + 1]]
+
+    def __iter__(self) -> Iterator[Integers]:
+        return iter(np.split(self.indices, self.offsets[1:-1])) if len(self) else iter(())
+
+    def __repr__(self) -> str:
+        return f"IndexSets({len(self)} sets, {len(self.indices)} indices)"
+
+
+def compress(sets: Iterable[Integers]) -> IndexSets:
+    """Index sets of a list of index arrays, each sorted."""
+    arrays = [np.sort(s) for s in sets]
+    offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
+    return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
+
+
+def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
+    """All sets of several, one after another."""
+    whole = list(parts)
+    if len(whole) == 1:
+        return whole[0]
+    sizes = np.concatenate([[0], *(part.sizes for part in whole)])
+    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
+
+
+def singletons(n: int) -> IndexSets:
+    """Each of n indices alone."""
+    return IndexSets(np.arange(n + 1), np.arange(n))
+
+
+def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
+    """Index sets that users made, with indices from 0 to bound - 1."""
+    if not isinstance(sets, IndexSets):
+        check.refuse(name, "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
+    return IndexSets(*check.sets(sets.offsets, sets.indices, name, bound))
+
+
+def contained(sets: IndexSets, others: IndexSets) -> NDArray[np.bool_]:
+    """Whether each of the others' indices, in order, is in the set of the same number."""
+    last = max(len(sets.indices) - 1, 0)
+    first, count = (np.repeat(each, others.sizes) for each in (sets.offsets[:-1], sets.sizes))
+    end = first + count
+    while count.any():  # bisection of all sets at once
+        half = count // 2
+        below = (count > 0) & (sets.indices[np.minimum(first + half, last)] < others.indices)
+        first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)
+    found = first < end
+    found[found] = sets.indices[first[found]] == others.indices[found]
+    return found

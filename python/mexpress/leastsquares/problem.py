@@ -1,0 +1,131 @@
+"""A least-squares problem as the core takes it: what users hand in, checked once.
+
+Examples
+--------
+>>> Problem.of([[1.0], [1.0]], [2.0, 3.0], coupling=2)
+Problem(1 data, 2 rows, 1 columns)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.index_sets import IndexSets
+
+__all__ = ["Problem", "penalty_rows"]
+
+# Residuals of the lightest data lose half as many digits as the weights span.
+WEIGHT_RATIO = 1e12
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem:
+    """A least-squares problem as the core takes it, checked.
+
+    Examples
+    --------
+    >>> from mexpress.leastsquares.problem import Problem
+    >>> Problem.of([[1], [1]], [2, 3], weights=[1, 16]).row_weights
+    array([0.0625, 1.    ])
+    """
+
+    design: Floats
+    responses: Floats
+    coupling: IndexSets
+    row_weights: Floats | None
+    penalty: Floats
+
+    @classmethod
+    def of(
+        cls,
+        A: ArrayLike,
+        b: ArrayLike,
+        coupling: int | ArrayLike = 1,
+        weights: ArrayLike | None = None,
+        penalty: ArrayLike | None = None,
+    ) -> Problem:
+        """Check what `LeastSquares` is given."""
+        design = check.matrix(A, "A")
+        m, p = design.shape
+        responses = check.columns(b, "b", m)
+        rows = _couple(coupling, m)
+        row_weights, exponent = _weigh(weights, rows, m)
+        extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
+        return cls(design, responses, rows, row_weights, extra)
+
+    def __repr__(self) -> str:
+        m, p = self.design.shape
+        return f"Problem({len(self.coupling)} data, {m} rows, {p} columns)"
+
+    @property
+    def arrays(self) -> tuple[Floats, Floats, Floats | None, Floats]:
+        """Design, responses (m, r), roots of the row weights, and penalty rows."""
+        roots = None if self.row_weights is None else np.sqrt(self.row_weights)
+        return self.design, self.responses.reshape(len(self.design), -1), roots, self.penalty
+
+
+def _couple(coupling: Any, m: int) -> IndexSets:
+    """Rows of every datum."""
+    rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
+    if check.array(coupling, "coupling", rule).ndim == 0:
+        g = check.count(coupling, "coupling", 1)
+        if m % g:
+            check.refuse("coupling", f"It must divide the {m} rows of A.", str(g))
+        return IndexSets(np.arange(0, m + 1, g), np.arange(m))
+    labels = check.integers(coupling, "coupling", rule)
+    if labels.shape != (m,) or labels.min() < 0 or labels.max() >= m:
+        check.refuse("coupling", rule, check.describe(coupling))
+    sizes = np.bincount(labels)
+    if (sizes == 0).any():
+        check.refuse("coupling", "Every datum must have a row.", f"none for datum {np.argmin(sizes)}")
+    order = np.argsort(labels, kind="stable").astype(np.int64)
+    return IndexSets(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), order)
+
+
+def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats | None, int]:
+    """Weight of every row, divided by the power of four that brings the largest near one, and its exponent.
+
+    Fits and scores depend on ratios alone, and roots of these weights times responses do not overflow.
+    """
+    if weights is None:
+        return None, 0
+    given = check.real(weights, "weights")
+    n = len(rows)
+    rule = f"It must be {n} positive numbers, one for each datum."
+    if given.shape != (n,):
+        check.refuse("weights", rule, f"shape {given.shape}")
+    if check.finite(given, "weights").min() <= 0:
+        rule += " Leave out data that shall not count."
+        check.refuse("weights", rule, f"{given.min()} for datum {int(given.argmin())}")
+    if given.min() < given.max() / WEIGHT_RATIO:
+        rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
+        check.refuse("weights", rule, f"{given.max():g} and {given.min():g}")
+    exponent = int(np.frexp(given.max())[1]) // 2
+    row_weights = np.empty(m)
+    row_weights[rows.indices] = np.repeat(np.ldexp(given, -2 * exponent), rows.sizes)
+    return row_weights, exponent
+
+
+def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
+    """Finite penalty rows of p columns, checked."""
+    rows = check.real(penalty, "penalty")
+    if rows.ndim != 2 or rows.shape[1] != p:
+        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {rows.shape}")
+    return check.finite(rows, "penalty")
+
+
+def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
+    """Penalty rows beside weights that are divided by a power of four."""
+    rows = penalty_rows(penalty, p)
+    with np.errstate(over="ignore"):
+        scaled = np.ldexp(rows, -exponent)
+    if not np.isfinite(scaled).all():
+        rule = "It must not exceed 1e308 times the root of the largest weight."
+        check.refuse("penalty", rule, f"{np.abs(rows).max():g}")
+    return scaled

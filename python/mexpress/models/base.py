@@ -1,0 +1,140 @@
+"""What warps and surfaces share: parameters of a lifting over the region of their data, in memory and in files."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.geometry import Region
+from mexpress.liftings import Lifting, check_lifting, make_lifting
+from mexpress.models import files
+
+__all__ = ["Model"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(ABC):
+    """A fitted `Warp` or `Surface`: callable, picklable, and described wholly by a few arrays.
+
+    Parameters
+    ----------
+    lifting : Lifting
+        With l control points.
+    parameters : array_like, (l, ...)
+        One column a function.
+    domain : array_like, (k, 2), or Region
+        Points that the model was fitted on, or what they cover. Their convex hull is kept; outside it the model
+        extrapolates.
+    smoothing : float
+        Weight of the bending energy that it was fitted with.
+    """
+
+    lifting: Lifting
+    parameters: Floats
+    domain: Floats
+    smoothing: float = 0.0
+    kind: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        check_lifting(self.lifting)
+        parameters = self._checked_parameters().copy()
+        domain = Region.of(self.domain, "domain").corners.copy()
+        for name, array in (("parameters", parameters), ("domain", domain)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        rule = "It must be a number of at least 0."
+        object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
+
+    @abstractmethod
+    def _checked_parameters(self) -> Floats:
+        """The parameters, of a shape that suits the lifting."""
+
+    @abstractmethod
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Return the model's values at points, (k, 2)."""
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Lifting, Floats, Floats, float]]:
+        # Without what is cached, and read-only again once unpickled.
+        return type(self), (self.lifting, self.parameters, self.domain, self.smoothing)
+
+    def _description(self) -> str:
+        smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
+        return f"{self.lifting.name}, {len(self.control_points)} control points{smoothing}"
+
+    @property
+    def control_points(self) -> Floats:
+        """Control points, (l, 2), in the unit of the points that the model takes.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> mx.fit_surface(square, [0, 2, 2, 5], square[:3]).control_points
+        array([[0., 0.], [2., 0.], [0., 2.]])
+        """
+        return self.lifting.control_points
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model to a file, which `mexpress.load` reads.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file, taken as it is.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import tempfile
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     mx.fit_surface(square, [0, 2, 2, 5], square).save(f"{folder}/surface.npz")
+        ...     mx.load(f"{folder}/surface.npz")
+        Surface(depth, tps, 4 control points)
+        """
+        files.save(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the model, by name.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> list(mx.fit_warp(square, square, square[:3]).to_arrays())
+        ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
+        """
+        return {
+            "lifting": np.array(self.lifting.name),
+            "control_points": self.control_points,
+            "parameters": self.parameters,
+            "domain": self.domain,
+            "smoothing": np.array(self.smoothing),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a model from the arrays of `to_arrays`.
+
+        Parameters
+        ----------
+        arrays : mapping of str to ndarray
+            As `to_arrays` returns them; others are ignored.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> mx.Warp.from_arrays(mx.fit_warp(square, square, square[:3]).to_arrays())
+        Warp(fractional tps, 3 control points)
+        """
+        lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
+        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
