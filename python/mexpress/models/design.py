@@ -70,15 +70,11 @@ class Basis(Protocol):
     def parameters(self, count: int) -> Floats:
         """Return what the coefficients of the first functions are multiplied by to be the lifting's parameters."""
 
-    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
-        """Return what rows, (n, l), make of the functions beside the constant 1 in a denominator, (n, l - 1).
+    def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
+        """Return what rows, (n, l), make of p_3 = origin + N z, all that satisfy normal . p_3 = 1: of both parts.
 
-        Denominators p_3 satisfy normal . p_3 = 1; `of_one` is what a row makes of the constant: 1 if the rows are
-        values at points, 0 if they are bendings.
+        `one` is what a row makes of the constant function 1: 1 if the rows are values, 0 if they are bendings.
         """
-
-    def constant(self, rows: Floats, normal: Floats) -> Floats:
-        """Return what rows of values make of the constant 1, (n,)."""
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
         """Return the columns of p_1, of p_2 and of the denominator in a fractional design."""
@@ -86,7 +82,7 @@ class Basis(Protocol):
 
 @dataclass(frozen=True)
 class CardinalBasis:
-    """The functions of a lifting as they are; a denominator's p_3 = origin + N z, N an orthonormal complement.
+    """The functions of a lifting as they are: parameters are, with most liftings, values at the control points.
 
     Examples
     --------
@@ -121,13 +117,14 @@ class CardinalBasis:
         """Return the identity: coefficients are the lifting's parameters."""
         return np.eye(count)
 
-    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
-        """Return rows @ N, with N an orthonormal basis of the vectors that the normal gives the value zero."""
-        return np.asarray(rows @ _complement(normal))
-
-    def constant(self, rows: Floats, normal: Floats) -> Floats:
-        """Return rows @ origin, with the parameters all the same that the normal gives the value one."""
-        return np.asarray(rows @ np.full(len(normal), 1 / normal.sum()))
+    def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
+        """Return rows @ origin and rows @ N: parameters all the same, and an orthonormal complement of the normal."""
+        mirror = normal / np.linalg.norm(normal)
+        sign = 1.0 if mirror[0] >= 0 else -1.0
+        # Householder's reflection takes the normal to the first axis, and the other axes to its complement.
+        mirror[0] += sign
+        complement = (np.eye(len(mirror)) - np.outer(mirror, mirror / (sign * mirror[0])))[:, 1:]
+        return rows @ np.full(len(normal), 1 / normal.sum()), rows @ complement
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
         """Return the columns of p_1 (l), of p_2 (l) and of z (l - 1), one after another."""
@@ -138,9 +135,8 @@ class CardinalBasis:
 class NestedBasis:
     """Thin-plate splines in an order of their control points: the first functions are a basis of their own.
 
-    The functions are those of `mexpress.liftings.nested_basis`; a denominator is 1 + sum_k z_k (psi_k - mean of psi_k),
-    over all functions but the first: it has mean one wherever the means are taken, and does not change with the control
-    points after its own.
+    The functions psi_k are those of `mexpress.liftings.nested_basis`. A denominator is 1 + sum z_k (psi_k - its mean)
+    over all functions but the first: a condition that does not change with the control points that follow.
 
     Parameters
     ----------
@@ -187,13 +183,9 @@ class NestedBasis:
         centres = self._control_points[:count]
         return NestedSplines(centres).at(centres)
 
-    def varying(self, rows: Floats, of_one: float, normal: Floats) -> Floats:
-        """Return rows less their means, without the first function."""
-        return np.asarray((rows - of_one * normal[: rows.shape[1]])[:, 1:])
-
-    def constant(self, rows: Floats, normal: Floats) -> Floats:
-        """Return ones."""
-        return np.ones(len(rows))
+    def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
+        """Return what rows make of the constant 1, and of every function but the first less its mean."""
+        return np.full(len(rows), one), (rows - one * normal[: rows.shape[1]])[:, 1:]
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
         """Return the columns of the first three control points, eight, then three for each of the others."""
@@ -358,17 +350,19 @@ class FractionalDesign(Design[Warp]):
         first, second, third = self.basis.blocks(self.count)
         rows = np.zeros((3, len(one), self.A.shape[1]))
         rows[0][:, first] = rows[1][:, second] = one
-        rows[2][:, third] = self.basis.varying(one, 0.0, self.normal)
+        _, rows[2][:, third] = self.basis.denominators(one, self.normal, 0.0)
         return self.scale * rows.reshape(3 * len(one), self.A.shape[1])
 
     def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> Warp:
         """Return the warp of a solution, see `Design`."""
         count = self.count if count is None else count
         first, second, third = (np.asarray(x, dtype=np.float64)[block] for block in self.basis.blocks(count))
-        rows = self.basis.parameters(count)
-        denominator = self.basis.constant(rows, self.normal)
-        denominator = denominator + self.basis.varying(rows, 1.0, self.normal) @ third
-        numerators = self.scale * rows @ np.column_stack([first, second]) + np.outer(denominator, self.centre)
+        functions = self.basis.parameters(count)
+        constant, varying = self.basis.denominators(functions, self.normal)
+        denominator = constant + varying @ third
+        numerators = self.scale * functions @ np.column_stack([first, second]) + np.outer(
+            denominator, self.centre
+        )
         parameters = np.column_stack([numerators, denominator])
         return _model(Warp, self.basis.lifting(count), parameters, self.domain, smoothing)
 
@@ -437,10 +431,11 @@ def fractional_design(
         over_data = not (isinstance(basis, CardinalBasis) and isinstance(basis.functions, ThinPlateSpline))
     normal = functions.mean(axis=0) if over_data else np.full(count, 1 / count)
     first, second, third = basis.blocks(count)
+    constant, varying = basis.denominators(functions, normal)
     rows = np.zeros((n, 2, 3 * count - 1))
     rows[:, 0, first] = rows[:, 1, second] = scale * functions
-    rows[:, :, third] = -about[:, :, None] * basis.varying(functions, 1.0, normal)[:, None, :]
-    right = about * basis.constant(functions, normal)[:, None]
+    rows[:, :, third] = -about[:, :, None] * varying[:, None, :]
+    right = about * constant[:, None]
     return FractionalDesign(rows.reshape(2 * n, -1), right.reshape(-1), basis, domain, centre, scale, normal)
 
 
@@ -449,12 +444,3 @@ def _model(
 ) -> ModelT:
     # A region stands for its corners, and is not looked for again.
     return kind(lifting, parameters, cast(Floats, domain), smoothing)
-
-
-def _complement(normal: Floats) -> Floats:
-    """Return N, (l, l - 1), an orthonormal basis of the vectors that a normal gives the value zero."""
-    mirror = normal / np.linalg.norm(normal)
-    sign = 1.0 if mirror[0] >= 0 else -1.0
-    # Householder's reflection takes the normal to the first axis, and the other axes to its complement.
-    mirror[0] += sign
-    return np.asarray((np.eye(len(mirror)) - np.outer(mirror, mirror / (sign * mirror[0])))[:, 1:])
