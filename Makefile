@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench docs clean
+.PHONY: help demo test check hooks bench docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -26,6 +26,9 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
+
+hooks: $(VENV)/dev ## Check format, lint and types at every commit
+	$(BIN)/pre-commit install
 
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
@@ -54,6 +57,6 @@ $(VENV)/built: $(VENV)/pip $(RUST)
 	@touch $@
 
 # A stamp for each group of tools, installed when first wanted.
-$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/bench: $(VENV)/built
+$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench: $(VENV)/built
 	$(BIN)/python -m pip install --quiet --group $(notdir $@)
 	@touch $@
