@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check hooks bench docs clean
+.PHONY: help demo test check hooks bench rooms docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -38,6 +38,9 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/smoothing.py auto
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
+
+rooms: $(VENV)/demo ## Draw the rooms of the code, docs/rooms.png
+	$(BIN)/python docs/rooms.py
 
 docs: ## Build the crate's documentation
 	cargo doc --locked --no-deps
