@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check hooks bench rooms docs clean
+.PHONY: help demo test check bench docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -27,9 +27,6 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
 
-hooks: $(VENV)/dev ## Check format, lint and types at every commit
-	$(BIN)/pre-commit install
-
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
 	$(BIN)/python benches/nested.py
@@ -39,7 +36,11 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 
-rooms: $(VENV)/demo ## Draw the rooms of the code, docs/rooms.png
+.PHONY: hooks rooms
+hooks: $(VENV)/dev ## Check format, lint and types at every commit from now on
+	$(BIN)/pre-commit install
+
+rooms: $(VENV)/demo ## Draw who imports whom anew: docs/rooms.png
 	$(BIN)/python docs/rooms.py
 
 docs: ## Build the crate's documentation
