@@ -36,6 +36,13 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 
+.PHONY: hooks rooms
+hooks: $(VENV)/dev ## Check format, lint and types at every commit from now on
+	$(BIN)/pre-commit install
+
+rooms: $(VENV)/demo ## Draw who imports whom anew: docs/rooms.png
+	$(BIN)/python docs/rooms.py
+
 docs: ## Build the crate's documentation
 	cargo doc --locked --no-deps
 
@@ -54,6 +61,6 @@ $(VENV)/built: $(VENV)/pip $(RUST)
 	@touch $@
 
 # A stamp for each group of tools, installed when first wanted.
-$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/bench: $(VENV)/built
+$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench: $(VENV)/built
 	$(BIN)/python -m pip install --quiet --group $(notdir $@)
 	@touch $@

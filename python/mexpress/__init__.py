@@ -25,6 +25,7 @@ from mexpress.selection import (
     select_surface,
     select_warp,
 )
+from mexpress.versions import show_versions
 
 __all__ = [
     "Cloud",
@@ -46,6 +47,7 @@ __all__ = [
     "schemes",
     "select_surface",
     "select_warp",
+    "show_versions",
 ]
 
 __version__ = version("mexpress")

@@ -121,7 +121,7 @@ class Triangulation:
             side = self.sides[here]
             beyond = side[..., 0] * offset[..., 1] - side[..., 1] * offset[..., 0]
             limit = -2 * _SLACK * self.areas[here, None]
-            # Not back: a point between two triangles must not go to and fro.
+            # Not back: a point between two triangles must not go back and forth.
             beyond[self.neighbours[here] == came[walking, None]] = np.inf
             across = beyond.argmin(axis=1)
             rows = np.flatnonzero(np.take_along_axis(beyond - limit, across[:, None], axis=1)[:, 0] < 0)

@@ -1,0 +1,74 @@
+"""What a report of a problem should say about the machine."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from importlib.metadata import PackageNotFoundError, requires, version
+
+import numpy as np
+
+from mexpress import _validation as check
+
+__all__ = ["show_versions"]
+
+
+def show_versions() -> None:
+    """Print the versions of mexpress and of what it stands on: please paste them into a report of a problem.
+
+    `threads` is the number that calls use unless told otherwise. The processor's features are those that numpy sees;
+    the order of sums depends on them, and with it the last digits. The libraries below BLAS are those of the extras;
+    they are looked up, not imported.
+
+    Raises
+    ------
+    ValueError
+        If the environment variable MEXPRESS_NUM_THREADS is no number of threads.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> mx.show_versions()
+    mexpress      ...
+    Python        ...
+    platform      ...
+    processor     ...
+    threads       ... of ... cores
+    numpy         ...
+    BLAS          ...
+    distributed   ...
+    """
+    entries = _machine() | {name: _installed(name) for name in _optional()}
+    width = 2 + max(map(len, entries))
+    print("\n".join(f"{name:{width}}{entry}" for name, entry in entries.items()))
+
+
+def _machine() -> dict[str, str]:
+    """Everything but the optional libraries."""
+    config = np.show_config(mode="dicts")
+    blas = config["Build Dependencies"]["blas"]
+    simd = config["SIMD Extensions"]
+    features = [*simd.get("baseline", []), *simd.get("found", [])]  # numpy leaves out what is empty
+    return {
+        "mexpress": version("mexpress"),
+        "Python": f"{platform.python_version()}, {platform.python_implementation()}",
+        "platform": platform.platform(),
+        "processor": ", ".join([platform.machine(), *features]),
+        "threads": f"{check.threads(None)} of {os.cpu_count()} cores",
+        "numpy": np.__version__,
+        "BLAS": f"{blas['name']} {blas.get('version', '')}".rstrip(),
+    }
+
+
+def _optional() -> list[str]:
+    """Libraries that an extra asks for, in the order of pyproject.toml."""
+    named = (re.match(r"[\w.-]+", entry) for entry in requires("mexpress") or () if "extra ==" in entry)
+    return [name[0] for name in named if name]
+
+
+def _installed(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
