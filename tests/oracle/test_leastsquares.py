@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from refits import (
     COUPLINGS,
@@ -52,7 +52,6 @@ def test_every_scheme_equals_its_refits(*, family, coupling, responses, weighted
             assert cv.score == pytest.approx(problem.score(scheme), rel=1e-9), name
 
 
-@settings(max_examples=200)
 @given(
     n=st.integers(1, 14),
     p=st.integers(1, 9),
@@ -94,7 +93,6 @@ def test_any_sets_of_any_problem(*, n, p, coupling, responses, weighted, penalty
     assert worst_error(problem, scheme, quiet(model, scheme)) < 1e-9
 
 
-@settings(max_examples=150)
 @given(
     n=st.integers(2, 30),
     p=st.integers(1, 9),

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from refits import (
     COUPLINGS,
@@ -518,7 +518,6 @@ def drawn_design(kind, m, p, rng):
     return A
 
 
-@settings(max_examples=200)
 @given(
     n=st.integers(1, 14),
     p=st.integers(1, 9),

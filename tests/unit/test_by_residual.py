@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -53,7 +53,6 @@ def test_every_step_is_what_a_refit_says(n, outputs):
     assert chosen.tolist() == oracle(points, values, chosen[:3], 40, distance)
 
 
-@settings(max_examples=40)
 @given(
     arrays(float, st.tuples(st.integers(4, 40), st.just(2)), elements=coordinates),
     st.integers(0, 3),
