@@ -148,7 +148,7 @@ def own_threads():
 def test_the_variable_limits_the_threads(value):
     code = f"""
         import sys
-        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        sys.path = {sys.path}
         import test_process as t
         t.work(None)
         print(t.own_threads())
