@@ -5,6 +5,9 @@ import os
 import pytest
 from hypothesis import HealthCheck, settings
 
+# Matrices are small here: threads of numpy's BLAS would take twice the time, most of it to wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 UNHURRIED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 REPEATABLE = UNHURRIED | {"derandomize": True, "database": None}
 settings.register_profile("fast", max_examples=10, **REPEATABLE)

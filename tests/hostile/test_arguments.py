@@ -50,7 +50,7 @@ COVERED = {
     "fit_warp",
     "load",
     "map_problems",  # test_batch.py
-    "read_cloud",  # test_hostile_surfaces.py and test_clouds.py
+    "read_cloud",  # test_surface_arguments.py and test_clouds.py
     "schemes",
     "select_surface",
     "select_warp",
@@ -71,7 +71,7 @@ COVERED = {
 
 
 def test_no_public_name_is_forgotten():
-    # A new name must be added here, and what it takes to the tables of hostile.py.
+    # A new name must be added here, and what it takes to the tables of inputs.py.
     assert set(mx.__all__) | set(s.__all__) <= COVERED
 
 

@@ -98,7 +98,9 @@ def schemes_of(points, seed=0):
 # ------------------------------------------------------------------------------------------ equal to refits
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "variant", [name if name == "all" else pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS]
+)
 @pytest.mark.parametrize("coupling", COUPLINGS)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_size_of_every_scheme_equals_its_refits(family, coupling, variant):
@@ -212,7 +214,10 @@ def dense(kind, p, coupling=1, seed=0):
     return Problem(nested_thin_plate(where, points[spread]), b, labels), points
 
 
-@pytest.mark.parametrize(("kind", "p", "coupling"), [("grid", 60, 1), ("random", 30, 1), ("grid", 30, 2)])
+@pytest.mark.parametrize(
+    ("kind", "p", "coupling"),
+    [pytest.param("grid", 60, 1, marks=pytest.mark.slow), ("random", 30, 1), ("grid", 30, 2)],
+)
 def test_dense_data_whose_sets_overlap(kind, p, coupling):
     problem, points = dense(kind, p, coupling)
     schemes = {"ER10": s.exclusion_radius(points, 0.16), "KF4": s.k_fold(600, 4, seed=0)}
@@ -318,6 +323,7 @@ def test_residuals_far_smaller_than_responses(noise, mean):
     np.testing.assert_allclose(nested(shifted, sizes, {"": scheme})[""], expected, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_dense_data_with_one_of_large_leverage():
     # Where it is held out, the first column keeps a millionth of its length.
     problem, points = dense("grid", 30)
@@ -385,7 +391,7 @@ def loss_problem(A, penalty, coupling):
     return Problem(A, np.random.default_rng(0).normal(size=12), np.arange(12) // coupling, None, extra)
 
 
-@pytest.mark.parametrize("coupling", [1, 2, 3])
+@pytest.mark.parametrize("coupling", [1, pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize(("A", "penalty"), LOSSES)
 def test_no_score_from_the_first_lost_column_on(A, penalty, coupling):
     problem = loss_problem(A, penalty, coupling)
