@@ -5,20 +5,28 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench docs clean
+.PHONY: help demo test test-rest test-all nightly check bench docs clean
 
 help: ## Show what can be made
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 
 demo: $(VENV)/demo ## Register a stereo pair, and fit a surface to terrain; see demo-output/
 	$(BIN)/python examples/demo_warp.py
 	$(BIN)/python examples/demo_surface.py
 
-test: $(VENV)/test ## Run every test, of Rust and of Python
+test: $(VENV)/test ## Run the tests, of Rust and of Python, but for those that take long
 	cargo test --release --locked --quiet
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow and not paper" --hypothesis-profile fast
 
-check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native module's stub
+test-rest: $(VENV)/test ## Run what `make test` leaves out: slow tests, the paper's, more random examples
+	$(BIN)/python -m pytest -m "slow or paper or hypothesis" --hypothesis-profile ci
+
+test-all: test test-rest ## Run every test
+
+nightly: $(VENV)/test ## Try 2,000 other random examples of every property
+	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile nightly
+
+check: $(VENV)/check $(VENV)/test ## Check format, lint, types, imports and the native module's stub
 	cargo fmt --check
 	cargo clippy --locked --all-targets --features python --quiet -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --quiet
@@ -26,6 +34,7 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types and the native mo
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
+	$(BIN)/python -m pytest tests/unit/test_architecture.py
 
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py

@@ -1,11 +1,22 @@
+"""How much is tried: profiles of hypothesis, and what is marked as the paper's."""
+
+import os
+
+import pytest
 from hypothesis import HealthCheck, settings
 
-settings.register_profile(
-    "mexpress",
-    derandomize=True,
-    deadline=None,
-    max_examples=50,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
-settings.load_profile("mexpress")
+# Matrices are small here: threads of numpy's BLAS would take twice the time, most of it to wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+UNHURRIED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+REPEATABLE = UNHURRIED | {"derandomize": True, "database": None}
+settings.register_profile("fast", max_examples=10, **REPEATABLE)
+settings.register_profile("ci", max_examples=200, **REPEATABLE)
+settings.register_profile("nightly", max_examples=2000, print_blob=True, **UNHURRIED)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.parent.name == "paper":  # the folder of tests, and the examples of the package's
+            item.add_marker(pytest.mark.paper)

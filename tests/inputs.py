@@ -24,6 +24,11 @@ WEIGHTS = np.array([0.0, 7.0, 90.0])
 SURFACE = mx.fit_surface(POINTS, TARGET[:, 0], POINTS[:5])
 
 
+def held(scheme):
+    """Return the data that a scheme holds out, set after set."""
+    return scheme.held_out.indices
+
+
 def nested(A=A, b=B, sizes=(1, 3), schemes=None, coupling=1, **options):
     """Cross-validate nested models, by leave-one-out unless told otherwise."""
     given = {"loo": LOO} if schemes is None else schemes
@@ -195,39 +200,51 @@ BAD_INDICES = [
     {3: 4},
 ]
 
-# Every function with an argument that is a whole number of at least 1: its name, a good one, and a call.
+# Every function with an argument that is a whole number of at least 1: its name, a good one, and a call that returns
+# plain numbers. Where None will do, it means the good one.
 NUMBERS = {
-    "leave_one_out n": ("n", 5, s.leave_one_out),
-    "k_fold n": ("n", 9, lambda x: s.k_fold(x, 3)),
-    "k_fold k": ("k", 3, lambda x: s.k_fold(9, x)),
-    "nearest k": ("k", 3, lambda x: s.nearest(POINTS, x)),
-    "nearest threads": ("threads", 2, lambda x: s.nearest(POINTS, 3, threads=x)),
-    "exclusion_radius threads": ("threads", 2, lambda x: s.exclusion_radius(POINTS, 3, threads=x)),
-    "matched threads": ("threads", 2, lambda x: s.matched(POINTS, TARGET, threads=x)),
-    "from_distance n": ("n", N, lambda x: s.from_distance(lambda _: np.arange(float(x)), 3, n=x)),
+    "leave_one_out n": ("n", 5, lambda x: held(s.leave_one_out(x))),
+    "k_fold n": ("n", 9, lambda x: held(s.k_fold(x, 3, seed=0))),
+    "k_fold k": ("k", 3, lambda x: held(s.k_fold(9, x, seed=0))),
+    "nearest k": ("k", 3, lambda x: held(s.nearest(POINTS, x))),
+    "nearest threads": ("threads", 2, lambda x: held(s.nearest(POINTS, 3, threads=x))),
+    "exclusion_radius threads": ("threads", 2, lambda x: held(s.exclusion_radius(POINTS, 30, threads=x))),
+    "matched threads": ("threads", 2, lambda x: held(s.matched(POINTS, TARGET, threads=x))),
+    "from_distance n": ("n", N, lambda x: held(s.from_distance(lambda _: np.arange(float(x)), 3, n=x))),
     "farthest_first max_count": ("max_count", 5, lambda x: farthest_first(POINTS, x)),
-    "leave_p_out n": ("n", 9, lambda x: s.leave_p_out(x, 2)),
-    "leave_p_out p": ("p", 2, lambda x: s.leave_p_out(9, x)),
-    "leave_p_out max_sets": ("max_sets", 4, lambda x: s.leave_p_out(9, 2, x)),
-    "random_sampling n": ("n", 9, lambda x: s.random_sampling(x, 2, 3)),
-    "random_sampling size": ("size", 2, lambda x: s.random_sampling(9, x, 3)),
-    "random_sampling repeats": ("repeats", 3, lambda x: s.random_sampling(9, 2, x)),
-    "from_sets n": ("n", 9, lambda x: s.from_sets([[0]], n=x)),
-    "from_splits n": ("n", 9, lambda x: s.from_splits([([0], [1])], n=x)),
-    "LeastSquares coupling": ("coupling", 2, lambda x: mx.LeastSquares(A, B, coupling=x)),
-    "LeastSquares threads": ("threads", 2, lambda x: mx.LeastSquares(A, B, threads=x)),
-    "cross_validate threads": ("threads", 2, lambda x: MODEL.cross_validate(LOO, threads=x)),
+    "leave_p_out n": ("n", 9, lambda x: held(s.leave_p_out(x, 2))),
+    "leave_p_out p": ("p", 2, lambda x: held(s.leave_p_out(9, x))),
+    "leave_p_out max_sets": ("max_sets", 36, lambda x: held(s.leave_p_out(9, 2, x, seed=0))),
+    "random_sampling n": ("n", 9, lambda x: held(s.random_sampling(x, 2, 3, seed=0))),
+    "random_sampling size": ("size", 2, lambda x: held(s.random_sampling(9, x, 3, seed=0))),
+    "random_sampling repeats": ("repeats", 3, lambda x: held(s.random_sampling(9, 2, x, seed=0))),
+    "from_sets n": ("n", 9, lambda x: held(s.from_sets([[0, 8]], n=x))),
+    "from_splits n": ("n", 9, lambda x: held(s.from_splits([([0], [8])], n=x))),
+    "LeastSquares coupling": ("coupling", 2, lambda x: mx.LeastSquares(A, B, coupling=x).fit_rms),
+    "LeastSquares threads": ("threads", 2, lambda x: mx.LeastSquares(A, B, threads=x).residuals),
+    "cross_validate threads": ("threads", 2, lambda x: MODEL.cross_validate(LOO, threads=x).residuals),
     "hat_blocks threads": ("threads", 2, lambda x: MODEL.hat_blocks(threads=x)),
-    "select_warp threads": ("threads", 2, lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x)),
+    "select_warp threads": (
+        "threads",
+        2,
+        lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x).curves["ER10"],
+    ),
     "cross_validate_nested coupling": ("coupling", 2, lambda x: nested(schemes=HALF, coupling=x)),
     "cross_validate_nested threads": ("threads", 2, lambda x: nested(threads=x)),
-    "select_surface max_count": ("max_count", 5, lambda x: select(max_count=x)),
-    "select_surface threads": ("threads", 2, lambda x: select(threads=x)),
-    "map_problems workers": ("workers", 2, lambda x: mx.map_problems(pow, [(2, 3), (3, 2)], workers=x)),
-    "Cloud n_valid": ("n_valid", 25, lambda x: mx.Cloud(POINTS, TARGET, None, x)),
-    "Cloud n_missing": ("n_missing", 3, lambda x: mx.Cloud(POINTS, TARGET, None, N, x)),
+    "select_surface max_count": ("max_count", N, lambda x: select(max_count=x).counts),
+    "select_surface threads": ("threads", 2, lambda x: select(threads=x).curves["NN02PTS"]),
+    "map_problems workers": ("workers", 1, lambda x: mx.map_problems(pow, [(2, 3), (3, 2)], workers=x)),
+    "Cloud n_valid": ("n_valid", 25, lambda x: mx.Cloud(POINTS, TARGET, None, x).n_valid),
+    "Cloud n_missing": ("n_missing", 3, lambda x: mx.Cloud(POINTS, TARGET, None, N, x).n_missing),
 }
-OPTIONAL = {"threads", "workers", "max_sets", "from_sets n", "from_splits n", "select_surface max_count"}
+OPTIONAL = {
+    "from_sets n",
+    "from_splits n",
+    "leave_p_out max_sets",
+    "map_problems workers",
+    "select_surface max_count",
+    *(name for name, (argument, *_) in NUMBERS.items() if argument == "threads"),
+}
 FROM_ZERO = {"n_missing"}
 
 BAD_COUNTS = [
@@ -326,7 +343,7 @@ FORMS = {
     "misaligned": lambda x: np.frombuffer(b"\0" + x.tobytes(), np.uint8)[1:].view(x.dtype).reshape(x.shape),
 }
 
-WRONG = {
+WRONG_TYPES = {
     "a string": lambda x: "matrix",
     "strings": lambda x: x.astype(str),
     "bytes": lambda x: b"matrix",
@@ -340,12 +357,43 @@ WRONG = {
     "masked": lambda x: np.ma.array(x, mask=np.arange(x.size).reshape(x.shape) == 1),
     "dates": lambda x: x.astype("datetime64[s]"),
     "records": lambda x: np.zeros(len(x), dtype=[("x", float), ("y", float)]),
+    "a generator": lambda x: (row for row in x),
+    "a class": lambda x: np.ndarray,
+}
+
+WRONG_SHAPES = {
     "empty": lambda x: [],
     "no rows": lambda x: x[:0],
     "no columns": lambda x: np.zeros((len(x), 0)),
     "a number": lambda x: 3.0,
     "three dimensions": lambda x: np.zeros((*x.shape, 2, 2)),
-    "one row short": lambda x: x[:-1],
-    "a generator": lambda x: (row for row in x),
-    "a class": lambda x: np.ndarray,
 }
+
+WRONG = {**WRONG_TYPES, **WRONG_SHAPES, "one row short": lambda x: x[:-1]}
+
+# What an argument takes as well, and what it means.
+SHORT = {
+    "smoothing": (3.0, [3.0]),
+    "weights": (None, np.ones(N)),
+    "penalty": (None, np.zeros((0, 3))),
+}
+RIGHT = {("smoothing", "a number"), ("weights", "none"), ("penalty", "none"), ("penalty", "no rows")}
+
+
+def wrong_arrays():
+    """Yield arguments and what is wrong: for two of them everything, for the others a type and a shape, in turn."""
+    for turn, (name, (argument, *_)) in enumerate(ARRAYS.items()):
+        types, shapes = (
+            [wrong for wrong in group if (argument, wrong) not in RIGHT]
+            for group in (WRONG_TYPES, WRONG_SHAPES)
+        )
+        if name in {
+            "LeastSquares A",
+            "select_warp smoothing",
+        }:  # the checks that all share, and those of weights
+            yield from ((name, wrong) for wrong in types + shapes)
+        else:
+            yield name, types[turn % len(types)]
+            yield name, shapes[turn % len(shapes)]
+        if name not in ANY_LENGTH:
+            yield name, "one row short"

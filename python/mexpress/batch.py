@@ -88,7 +88,8 @@ def map_problems(
 
     Notes
     -----
-    The seed of a call is among its arguments, so results do not depend on who computes them, or when. Ctrl-C ends the
+    The seed of a call is among its arguments, so results do not depend on who computes them, or when, but for the last
+    bits of numpy's products, which depend on the number of threads of its BLAS: a process has one. Ctrl-C ends the
     processes at once; what `on_result` has seen by then is not lost.
 
     Examples

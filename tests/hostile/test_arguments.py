@@ -18,6 +18,7 @@ from inputs import (
     NUMBERS,
     OPTIONAL,
     POINTS,
+    SHORT,
     TARGET,
     WRONG,
     A,
@@ -27,6 +28,7 @@ from inputs import (
     in_form,
     refused,
     select,
+    wrong_arrays,
 )
 
 import mexpress as mx
@@ -48,7 +50,7 @@ COVERED = {
     "fit_warp",
     "load",
     "map_problems",  # test_batch.py
-    "read_cloud",  # test_hostile_surfaces.py and test_clouds.py
+    "read_cloud",  # test_surface_arguments.py and test_clouds.py
     "schemes",
     "select_surface",
     "select_warp",
@@ -69,7 +71,7 @@ COVERED = {
 
 
 def test_no_public_name_is_forgotten():
-    # A new name must be added here, and what it takes to the tables of hostile.py.
+    # A new name must be added here, and what it takes to the tables of inputs.py.
     assert set(mx.__all__) | set(s.__all__) <= COVERED
 
 
@@ -98,23 +100,24 @@ def test_other_numbers_mean_what_they_are_as_float64(name, dtype):
         np.testing.assert_array_equal(call(converted), expected)
 
 
-@pytest.mark.parametrize("wrong", WRONG)
-@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize(("name", "wrong"), list(wrong_arrays()))
 def test_what_is_no_array_of_numbers_is_refused(name, wrong):
     argument, value, call = ARRAYS[name]
-    if wrong == "a number" and argument == "smoothing":
-        np.testing.assert_array_equal(call(3.0), call([3.0]))
-        return
-    if wrong == "none" and argument in {"weights", "penalty"}:
-        call(None)  # the default
-        return
-    if (wrong == "one row short" and name in ANY_LENGTH) or (wrong == "no rows" and argument == "penalty"):
-        call(WRONG[wrong](value))
-        return
-    either = r"\w+" if wrong == "one row short" else argument
-    if wrong == "one row short" and argument == "A":
-        either = "[Ab]"
-    refused(lambda: call(WRONG[wrong](value)), either)
+    # A length is compared with another, which may be taken for the wrong one.
+    refused(lambda: call(WRONG[wrong](value)), r"\w+" if wrong == "one row short" else argument)
+
+
+@pytest.mark.parametrize("name", [name for name, (argument, *_) in ARRAYS.items() if argument in SHORT])
+def test_a_short_form_means_an_array(name):
+    argument, _, call = ARRAYS[name]
+    short, array = SHORT[argument]
+    np.testing.assert_array_equal(call(short), call(array))
+
+
+@pytest.mark.parametrize("name", [name for name in ARRAYS if name in ANY_LENGTH])
+def test_any_number_of_rows_will_do(name):
+    _, value, call = ARRAYS[name]
+    assert np.isfinite(call(value[:-1])).all()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -204,25 +207,30 @@ def test_no_indices(name):
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("form", [int, np.int8, np.uint64, np.int32, np.array])
-def test_whole_numbers_of_any_form(name, form):
+def test_whole_numbers_of_any_form(name):
     _, value, call = NUMBERS[name]
-    call(form(value))
+    for form in (np.int8, np.uint64, np.int32, np.array):
+        np.testing.assert_array_equal(call(form(value)), call(value))
 
 
-@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("name", sorted(OPTIONAL))
+def test_no_number_is_the_default(name):
+    _, value, call = NUMBERS[name]
+    np.testing.assert_array_equal(call(None), call(value))
+
+
 @pytest.mark.parametrize(
-    "wrong",
-    BAD_COUNTS,
+    ("name", "wrong"),
+    [
+        (name, wrong)
+        for name, (argument, *_) in NUMBERS.items()
+        for wrong in BAD_COUNTS
+        if not (wrong is None and name in OPTIONAL) and not (wrong == 0 and argument in FROM_ZERO)
+    ],
     ids=repr,
 )
 def test_bad_whole_numbers(name, wrong):
     argument, _, call = NUMBERS[name]
-    if wrong is None and (argument in OPTIONAL or name in OPTIONAL):
-        call(None)
-        return
-    if wrong == 0 and argument in FROM_ZERO:
-        return
     refused(lambda: call(wrong), argument)
 
 

@@ -148,7 +148,7 @@ def own_threads():
 def test_the_variable_limits_the_threads(value):
     code = f"""
         import sys
-        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        sys.path = {sys.path}
         import test_process as t
         t.work(None)
         print(t.own_threads())
@@ -312,8 +312,13 @@ def interrupt(setup, after):
     return float(when[0]) - sent if word == "interrupted" else None
 
 
+QUICK = {"many small pairs", "a triangulation", "nested models"}
+
+
 @posix
-@pytest.mark.parametrize("what", LONG)
+@pytest.mark.parametrize(
+    "what", [what if what in QUICK else pytest.param(what, marks=pytest.mark.slow) for what in LONG]
+)
 def test_ctrl_c_ends_long_work_at_once(what):
     latency = interrupt(LONG[what], after=0.15)
     print(f"{what}: {latency}")
@@ -328,6 +333,7 @@ SELECTION = f"""
 
 
 @posix
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.5, 2, 5])
 def test_ctrl_c_ends_the_selection_of_a_surface_at_any_stage(after):
     latency = interrupt(SELECTION, after)
@@ -338,6 +344,7 @@ def test_ctrl_c_ends_the_selection_of_a_surface_at_any_stage(after):
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 @posix
+@pytest.mark.slow
 def test_a_forked_child_selects_a_surface_after_an_interrupt():
     code = SCRIPT.format(setup=textwrap.dedent(SELECTION)) + textwrap.dedent("""
         import os

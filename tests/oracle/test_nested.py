@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from refits import (
     COUPLINGS,
@@ -98,7 +98,9 @@ def schemes_of(points, seed=0):
 # ------------------------------------------------------------------------------------------ equal to refits
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "variant", [name if name == "all" else pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS]
+)
 @pytest.mark.parametrize("coupling", COUPLINGS)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_size_of_every_scheme_equals_its_refits(family, coupling, variant):
@@ -212,7 +214,10 @@ def dense(kind, p, coupling=1, seed=0):
     return Problem(nested_thin_plate(where, points[spread]), b, labels), points
 
 
-@pytest.mark.parametrize(("kind", "p", "coupling"), [("grid", 60, 1), ("random", 30, 1), ("grid", 30, 2)])
+@pytest.mark.parametrize(
+    ("kind", "p", "coupling"),
+    [pytest.param("grid", 60, 1, marks=pytest.mark.slow), ("random", 30, 1), ("grid", 30, 2)],
+)
 def test_dense_data_whose_sets_overlap(kind, p, coupling):
     problem, points = dense(kind, p, coupling)
     schemes = {"ER10": s.exclusion_radius(points, 0.16), "KF4": s.k_fold(600, 4, seed=0)}
@@ -283,12 +288,15 @@ def test_the_order_of_the_pairs_does_not_matter():
 
 
 def test_long_chains_do_not_drift():
+    # Balls of 0.024 leave little of the first spline: M has an eigenvalue of 7e-6, which magnifies what has added up.
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, 2600)
     problem = Problem(b_spline(x, 17), np.sin(20 * x) + rng.normal(0, 0.1, 2600), np.arange(2600))
-    schemes = {name: s.exclusion_radius(x[:, None], r) for name, r in [("ER1", 0.01), ("ER4", 0.04)]}
+    schemes = {name: s.exclusion_radius(x[:, None], r) for name, r in [("small", 0.01), ("large", 0.024)]}
     sizes = [1, 7, 20]
-    agree(problem, nested(problem, sizes, schemes), block_by_block(problem, sizes, schemes))
+    found = nested(problem, sizes, schemes)
+    agree(problem, found, block_by_block(problem, sizes, schemes), rtol=1e-10)
+    assert np.isfinite(list(found.values())).all()
 
 
 @pytest.mark.parametrize("coupling", [1, 2])
@@ -315,6 +323,7 @@ def test_residuals_far_smaller_than_responses(noise, mean):
     np.testing.assert_allclose(nested(shifted, sizes, {"": scheme})[""], expected, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_dense_data_with_one_of_large_leverage():
     # Where it is held out, the first column keeps a millionth of its length.
     problem, points = dense("grid", 30)
@@ -382,7 +391,7 @@ def loss_problem(A, penalty, coupling):
     return Problem(A, np.random.default_rng(0).normal(size=12), np.arange(12) // coupling, None, extra)
 
 
-@pytest.mark.parametrize("coupling", [1, 2, 3])
+@pytest.mark.parametrize("coupling", [1, pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize(("A", "penalty"), LOSSES)
 def test_no_score_from_the_first_lost_column_on(A, penalty, coupling):
     problem = loss_problem(A, penalty, coupling)
@@ -518,7 +527,6 @@ def drawn_design(kind, m, p, rng):
     return A
 
 
-@settings(max_examples=200)
 @given(
     n=st.integers(1, 14),
     p=st.integers(1, 9),

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -53,7 +53,6 @@ def test_every_step_is_what_a_refit_says(n, outputs):
     assert chosen.tolist() == oracle(points, values, chosen[:3], 40, distance)
 
 
-@settings(max_examples=40)
 @given(
     arrays(float, st.tuples(st.integers(4, 40), st.just(2)), elements=coordinates),
     st.integers(0, 3),
@@ -155,7 +154,7 @@ def test_nearly_equal_points_are_control_points_once():
     points, values = surface(60)
     close = points + 1e-4 * np.random.default_rng(1).normal(size=points.shape)
     chosen = by_residual(np.vstack([points, close]), np.vstack([values, 1 - values]), 200, min_distance=0)
-    ThinPlateSpline(np.vstack([points, close])[chosen])
+    assert sorted(chosen % 60) == list(range(60))
 
 
 @pytest.mark.parametrize(

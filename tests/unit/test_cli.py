@@ -359,10 +359,13 @@ def test_a_log_has_few_lines():
     assert lines[0] == "warp: 2 of 400, 3 min 19 s left"
 
 
-def test_no_stream_no_progress(monkeypatch):
+def test_no_stream_no_progress(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stderr", None)
-    with bar(1, "warp", clock=iter([0.0, 9.0]).__next__) as step:
+    times = iter([0.0, 9.0])
+    with bar(1, "warp", clock=times.__next__) as step:
         step()
+    assert list(times) == []  # the step was taken
+    assert capsys.readouterr() == ("", "")
 
 
 def test_weights_are_tabulated_and_written(matches, tmp_path, capsys):

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
@@ -179,7 +179,6 @@ def test_the_seed_decides():
     assert np.abs(lloyd(SQUARE, 7, seed=3) - lloyd(SQUARE, 7, seed=4)).max() > 1
 
 
-@settings(max_examples=20, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.integers(3, 12))
 def test_centres_move_with_the_data(scale, x, y, count):
     points = np.random.default_rng(1).uniform(0, 1, (40, 2)) * [16, 9]
@@ -196,7 +195,6 @@ def test_centres_in_a_thin_strip_are_not_on_a_line(width, count):
     ThinPlateSpline(centres)
 
 
-@settings(max_examples=30, deadline=None)
 @given(arrays(float, (6, 2), elements=coordinates, unique=True), st.integers(3, 9), st.integers(0, 5))
 def test_centres_are_always_good_control_points_inside_the_region(points, count, seed):
     assume(np.linalg.matrix_rank(points - points[0]) == 2)

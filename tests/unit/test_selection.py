@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 from designs import warp_design
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from refits import Problem
 
@@ -111,7 +111,6 @@ def test_only_the_data_concerned_are_named():
     assert selection.undefined["mine"][5].tolist() == [2, 3, 9]
 
 
-@settings(max_examples=10)
 @given(seed=st.integers(0, 1000))
 def test_selected_is_the_smallest_score(seed):
     source, target = planted(5, n=25, noise=3, seed=seed)

@@ -183,6 +183,7 @@ def test_there_are_450_different_configurations():
     assert {(c.source, c.target) for c in every} == {(i, j) for i in range(10) for j in range(10) if i != j}
 
 
+@pytest.mark.slow
 def test_noise_is_independent_in_every_coordinate_of_both_images():
     configuration, n = Configuration(2, 5, 3), 20000
     noisy, clean = (correspondences(configuration, n, noise=noise) for noise in (1.0, 0.0))
@@ -194,6 +195,7 @@ def test_noise_is_independent_in_every_coordinate_of_both_images():
     np.testing.assert_allclose(twice.source - clean.source, 2 * noise[:, :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_points_are_uniform_in_the_source_image():
     matches = correspondences(Configuration(0, 1, 0), 20000, noise=0)
     # Squares of 120 pixels that lie well inside the sheet's image have about as many points each.

@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 from designs import nested_surface_design
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from refits import Problem
 
@@ -156,7 +156,6 @@ def test_curves_are_those_of_refits_by_lstsq(shape):
             assert selection.curves[name][k] == pytest.approx(value, rel=1e-9), name
 
 
-@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), n=st.integers(5, 40), gridded=st.booleans())
 def test_any_data(seed, n, gridded):
     rng = np.random.default_rng(seed)
@@ -549,7 +548,6 @@ def test_nearest_neighbourhoods_are_those_listed(points, k):
     both(points, Places(points).lazily_nearest(k), s.nearest(points, k))
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10**6),
     n=st.integers(1, 60),
