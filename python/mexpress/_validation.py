@@ -120,19 +120,19 @@ def integers(value: ArrayLike, name: str, rule: str) -> Integers:
 def indices(value: ArrayLike, name: str, bound: int | None = None) -> Integers:
     """Distinct indices from 0 to bound - 1, (k,)."""
     rule = "It must be a list of distinct indices."
-    found = _from_zero(integers(value, name, rule), name, bound)
-    if len(np.unique(found)) < len(found):
+    entries = _from_zero(integers(value, name, rule), name, bound)
+    if len(np.unique(entries)) < len(entries):
         refuse(name, rule, describe(value))
-    return found
+    return entries
 
 
-def _from_zero(found: Integers, name: str, bound: int | None) -> Integers:
-    low, high = int(found.min(initial=0)), int(found.max(initial=-1))
+def _from_zero(entries: Integers, name: str, bound: int | None) -> Integers:
+    low, high = int(entries.min(initial=0)), int(entries.max(initial=-1))
     if bound is not None and high >= bound:
         refuse(name, f"Indices must be from 0 to {bound - 1}.", f"{high}")
     if low < 0:
         refuse(name, "Indices must not be negative.", f"{low}")
-    return found
+    return entries
 
 
 def sets(
@@ -140,18 +140,18 @@ def sets(
 ) -> tuple[Integers, Integers]:
     """Sets of indices from 0 to bound - 1 in compressed rows, increasing in each."""
     cuts = integers(offsets, name, "Its offsets must be whole numbers.")
-    found = _from_zero(integers(members, name, "Its indices must be whole numbers."), name, bound)
-    if not cuts.size or cuts[0] != 0 or cuts[-1] != len(found) or (cuts[1:] < cuts[:-1]).any():
-        rule = f"Its offsets must rise from 0 to the number of indices, {len(found)}."
+    entries = _from_zero(integers(members, name, "Its indices must be whole numbers."), name, bound)
+    if not cuts.size or cuts[0] != 0 or cuts[-1] != len(entries) or (cuts[1:] < cuts[:-1]).any():
+        rule = f"Its offsets must rise from 0 to the number of indices, {len(entries)}."
         refuse(name, rule, describe(cuts))
-    rises = found[1:] > found[:-1]
-    inner = slice(*np.searchsorted(cuts, [1, len(found)]))
+    rises = entries[1:] > entries[:-1]
+    inner = slice(*np.searchsorted(cuts, [1, len(entries)]))
     rises[cuts[inner] - 1] = True
     if not rises.all():
         i = int(rises.argmin())
-        where = f"{found[i + 1]} after {found[i]} in set {np.searchsorted(cuts, i, side='right') - 1}"
+        where = f"{entries[i + 1]} after {entries[i]} in set {np.searchsorted(cuts, i, side='right') - 1}"
         refuse(name, "The indices of a set must increase, so that none comes twice.", where)
-    return cuts, found
+    return cuts, entries
 
 
 def items(value: Any, name: str, rule: str) -> list[Any]:

@@ -112,19 +112,19 @@ def map_problems(
         else:
             rule = "It must be a tuple of arguments, or a mapping of them by name."
             check.refuse(f"problems[{len(calls)}]", rule, check.describe(problem), TypeError)
-    for name, given in (("function", function), ("on_result", on_result)):
-        if not callable(given) and (given is not None or name == "function"):
-            check.refuse(name, "It must be callable.", check.describe(given), TypeError)
+    for name, callback in (("function", function), ("on_result", on_result)):
+        if not callable(callback) and (callback is not None or name == "function"):
+            check.refuse(name, "It must be callable.", check.describe(callback), TypeError)
     check.flag(progress, "progress")
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     stream = _stream(function, calls, workers, client)
     with closing(stream), bar(len(calls), "problems") if progress else nullcontext(lambda: None) as step:
         for index, result in stream:
-            found[index] = result
+            results[index] = result
             if on_result is not None:
                 on_result(index, result)
             step()
-    return [found[index] for index in range(len(calls))]
+    return [results[index] for index in range(len(calls))]
 
 
 def _stream(function: Callable[..., Any], calls: Sequence[Call], workers: int | None, client: Any) -> Results:

@@ -224,8 +224,8 @@ def lattice(corners: Floats, number: int) -> Floats:
     below, above = white[: last + 1], np.vstack([white[last:], white[:1]])[::-1]
     lower, upper = (np.interp(x, *chain.T) for chain in (below, above))
     # The slack keeps a point that rounding puts beside an edge, whatever the region's position.
-    kept = (y[:, None] >= lower - EDGE) & (y[:, None] <= upper + EDGE)
-    row, column = np.nonzero(kept)
+    within = (y[:, None] >= lower - EDGE) & (y[:, None] <= upper + EDGE)
+    row, column = np.nonzero(within)
     return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
 
 

@@ -90,11 +90,11 @@ def compress(sets: Iterable[Integers]) -> IndexSets:
 
 def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
     """All sets of several, one after another."""
-    whole = list(parts)
-    if len(whole) == 1:
-        return whole[0]
-    sizes = np.concatenate([[0], *(part.sizes for part in whole)])
-    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in whole]))
+    sets = list(parts)
+    if len(sets) == 1:
+        return sets[0]
+    sizes = np.concatenate([[0], *(part.sizes for part in sets)])
+    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in sets]))
 
 
 def singletons(n: int) -> IndexSets:

@@ -559,8 +559,8 @@ def from_sets(
     """
     bound = None if n is None else check.count(n, "n", 1)
     held = _listed(held_out, "held_out", bound)
-    kept = held if validated is None else _listed(validated, "validated", bound)
-    return Scheme(_number(held, kept) if bound is None else bound, held, kept)
+    scored = held if validated is None else _listed(validated, "validated", bound)
+    return Scheme(_number(held, scored) if bound is None else bound, held, scored)
 
 
 def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> IndexSets:

@@ -31,7 +31,8 @@ ROUNDING = 1e-7
 
 DOUBTFUL_SHARE = 0.4
 DOUBTFUL_SCALE = 0.08
-"""Of the values' spread. Half of either is as doubtful as the whole of one: missed errors make sigma grow."""
+"""Of the values' spread. The result is doubtful when share / 0.4 + (sigma / spread) / 0.08 > 1: missed errors make sigma
+grow."""
 
 UNSETTLED_SHARE = 0.05
 
@@ -87,8 +88,8 @@ class Suspects:
 
     def __repr__(self) -> str:
         doubt = ", not to be trusted" if self.doubtful else ""
-        found = f"{len(self.indices)} of {len(self.scores)} data above {self.threshold:g}"
-        return f"Suspects({found}, sigma={self.sigma:.4g}{doubt})"
+        suspected = f"{len(self.indices)} of {len(self.scores)} data above {self.threshold:g}"
+        return f"Suspects({suspected}, sigma={self.sigma:.4g}{doubt})"
 
     @property
     def indices(self) -> Integers:
@@ -191,9 +192,9 @@ def studentised_squares(
     >>> squares.round(3), freedom
     (array([ 6. ,  1.5, 13.5]), array([1, 1, 1]))
     """
-    found = cross_validate_all(model, {"": scheme}, threads)[""]
-    residuals = found.residuals.reshape(len(found.rows), -1)
-    starts = np.searchsorted(found.pairs, np.arange(len(scheme) + 1))
+    cv = cross_validate_all(model, {"": scheme}, threads)[""]
+    residuals = cv.residuals.reshape(len(cv.rows), -1)
+    starts = np.searchsorted(cv.pairs, np.arange(len(scheme) + 1))
     squares, freedom = np.empty(len(scheme)), np.empty(len(scheme), dtype=np.int64)
     for pair, spread in enumerate(model.prediction_spread(scheme, threads)):
         datum, e = scheme.validated.indices[pair], residuals[starts[pair] : starts[pair + 1]]
@@ -289,10 +290,10 @@ def suspects(
     first = math.ceil(KEPT_AT_FIRST * n)
     scores, _ = _settle(score, np.ones(n), lambda scores: _best(scores, first), most)
     scores, settled = _settle(score, _as_weights(~(scores > limit)), lambda scores: ~(scores > limit), most)
-    found = Suspects(scores, limit, sigma, spread, rounds, settled)
-    if found.doubtful:
-        warnings.warn(SuspicionWarning(found.doubt), stacklevel=2)
-    return found
+    result = Suspects(scores, limit, sigma, spread, rounds, settled)
+    if result.doubtful:
+        warnings.warn(SuspicionWarning(result.doubt), stacklevel=2)
+    return result
 
 
 def _settle(

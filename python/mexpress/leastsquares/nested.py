@@ -249,7 +249,7 @@ def _checked_schemes(schemes: Any) -> dict[str, Scheme]:
 
 def _checked_sizes(sizes: Any, columns: int) -> Integers:
     rule = f"They must be one or more increasing numbers of columns, from 1 to {columns}."
-    kept = check.integers(list(sizes) if isinstance(sizes, range) else sizes, "sizes", rule)
-    if kept.size == 0 or kept[0] < 1 or kept[-1] > columns or (np.diff(kept) <= 0).any():
+    numbers = check.integers(list(sizes) if isinstance(sizes, range) else sizes, "sizes", rule)
+    if numbers.size == 0 or numbers[0] < 1 or numbers[-1] > columns or (np.diff(numbers) <= 0).any():
         check.refuse("sizes", rule, check.describe(sizes))
-    return kept
+    return numbers

@@ -95,20 +95,20 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats |
     """
     if weights is None:
         return None, 0
-    given = check.real(weights, "weights")
+    data_weights = check.real(weights, "weights")
     n = len(rows)
     rule = f"It must be {n} positive numbers, one for each datum."
-    if given.shape != (n,):
-        check.refuse("weights", rule, f"shape {given.shape}")
-    if check.finite(given, "weights").min() <= 0:
+    if data_weights.shape != (n,):
+        check.refuse("weights", rule, f"shape {data_weights.shape}")
+    if check.finite(data_weights, "weights").min() <= 0:
         rule += " Leave out data that shall not count."
-        check.refuse("weights", rule, f"{given.min()} for datum {int(given.argmin())}")
-    if given.min() < given.max() / WEIGHT_RATIO:
+        check.refuse("weights", rule, f"{data_weights.min()} for datum {int(data_weights.argmin())}")
+    if data_weights.min() < data_weights.max() / WEIGHT_RATIO:
         rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
-        check.refuse("weights", rule, f"{given.max():g} and {given.min():g}")
-    exponent = int(np.frexp(given.max())[1]) // 2
+        check.refuse("weights", rule, f"{data_weights.max():g} and {data_weights.min():g}")
+    exponent = int(np.frexp(data_weights.max())[1]) // 2
     row_weights = np.empty(m)
-    row_weights[rows.indices] = np.repeat(np.ldexp(given, -2 * exponent), rows.sizes)
+    row_weights[rows.indices] = np.repeat(np.ldexp(data_weights, -2 * exponent), rows.sizes)
     return row_weights, exponent
 
 

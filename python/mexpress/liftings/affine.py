@@ -169,10 +169,10 @@ class PiecewiseAffine(SparseLifting):
     def _hull_triangles(self) -> Indices:
         """Return the triangles of both edges of the hull that meet at a control point, (l, 2); any elsewhere."""
         triangle, side = self._mesh.hull
-        found = np.zeros((len(self.control_points), 2), dtype=np.intp)
+        triangles = np.zeros((len(self.control_points), 2), dtype=np.intp)
         for end in range(2):
-            found[self._mesh.corners[triangle, (side + end) % 3], end] = triangle
-        return found
+            triangles[self._mesh.corners[triangle, (side + end) % 3], end] = triangle
+        return triangles
 
 
 def _nearest(points: Floats, start: Floats, edges: Floats) -> tuple[Indices, Floats, Floats]:

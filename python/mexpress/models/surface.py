@@ -251,11 +251,11 @@ class Surface(Model):
         array([[0, 1, 4], [0, 4, 3], [1, 2, 4], [3, 4, 6]])
         """
         x, y = self._axes(step, shape)
-        kept = inside(self.domain, x, y[:, None])
-        values = np.full((*kept.shape, *self.parameters.shape[1:]), np.nan)
-        if kept.any():
-            values[kept] = self(_positions(x, y)[kept.ravel()])
-        return SurfaceGrid(x, y, values, kept, _triangles(kept))
+        within = inside(self.domain, x, y[:, None])
+        values = np.full((*within.shape, *self.parameters.shape[1:]), np.nan)
+        if within.any():
+            values[within] = self(_positions(x, y)[within.ravel()])
+        return SurfaceGrid(x, y, values, within, _triangles(within))
 
     def write_mesh(
         self,
@@ -379,7 +379,7 @@ def _triangles(inside: NDArray[np.bool_]) -> Integers:
         ([0, 1, 3], a & b & d & ~c),
         ([1, 2, 3], b & c & d & ~a),
     ]
-    return np.concatenate([cells[kept][:, corners] for corners, kept in halves])
+    return np.concatenate([cells[within][:, corners] for corners, within in halves])
 
 
 def _unit(vectors: Floats) -> Floats:
