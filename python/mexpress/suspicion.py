@@ -31,8 +31,8 @@ ROUNDING = 1e-7
 
 DOUBTFUL_SHARE = 0.4
 DOUBTFUL_SCALE = 0.08
-"""Of the values' spread. The result is doubtful when share / 0.4 + (sigma / spread) / 0.08 > 1: missed errors make sigma
-grow."""
+"""Of the values' spread. The result is doubtful when share / 0.4 + (sigma / spread) / 0.08 > 1: missed errors make
+sigma grow."""
 
 UNSETTLED_SHARE = 0.05
 
