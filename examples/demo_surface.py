@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from mexpress.cli import main
 from mexpress.io.clouds import read_cloud
-from mexpress.liftings import nested_basis
+from mexpress.models.nested_errors import nested_errors
 
 OUT = Path("demo-output/surface")
 CRITERION = "ER1"
@@ -53,21 +53,6 @@ def select(points, elevation):
         sys.exit(2)
     said = json.loads((OUT / "selection.json").read_text())
     return said, np.array(said["control_points"])
-
-
-def true_errors(cloud, control_points, points, elevation):
-    """Return the root mean square errors at the points, of surfaces with 3, 4, ... of the control points.
-
-    The models are nested, so one factorisation gives the coefficients of all.
-    """
-    orthonormal, triangle = np.linalg.qr(nested_basis(cloud.points, control_points))
-    total = np.zeros(len(control_points))
-    for some in np.array_split(np.arange(len(points)), 20):
-        # Columns that are orthonormal over the data: a model of l control points has the first l of them.
-        columns = np.linalg.solve(triangle.T, nested_basis(points[some], control_points).T)
-        predicted = np.cumsum(columns * (orthonormal.T @ cloud.values)[:, None], axis=0)
-        total += ((predicted - elevation[some]) ** 2).sum(axis=1)
-    return np.sqrt(total[2:] / len(points))
 
 
 def print_errors(said, errors, unseen):
@@ -109,7 +94,8 @@ def run():
     said, control_points = select(points, elevation)
     cloud = read_cloud(OUT / "jacksboro.npz")  # the same draw as the command's
     unseen = ~np.isin(points @ [1, 1j], cloud.points @ [1, 1j])
-    errors = true_errors(cloud, control_points, points[unseen], elevation[unseen])
+    data = cloud.points, cloud.values
+    errors = nested_errors(*data, control_points, points[unseen], elevation[unseen])
     print_errors(said, errors, unseen.sum())
     draw_errors(said, errors)
 

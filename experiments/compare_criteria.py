@@ -7,8 +7,9 @@ share, and few data in clusters. Two families of models are selected from by `me
 count    a number of control points, without smoothing
 weight   many control points, or three, and a weight of the bending energy, by ``smoothing="auto"``
 
-The error is the root mean square distance to the surface itself over the whole square. DIR/criteria.csv keeps the
-losses, so what is there is not computed again; DIR gets criteria.md and criteria.png too.
+The error is the root mean square distance to the surface itself over the whole square. DIR/criteria.csv, with
+criteria.sqlite beside it, keeps the losses, so what is there is not computed again; DIR gets criteria.md and
+criteria.png too.
 """
 
 import argparse
@@ -16,12 +17,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from comparison.errors import Errors
 from comparison.fields import sample
-from comparison.records import Records
-from demo_surface import true_errors
 from matplotlib.figure import Figure
 
 import mexpress as mx
+from mexpress.models.nested_errors import nested_errors
 
 KINDS = {
     "independent": "noise of its own",
@@ -43,7 +44,8 @@ MOST = 300.0
 def true_map(selection, data):
     """Return the error of every model of a selection, a row for each count and a column for each weight."""
     if len(selection.weights) == 1:
-        return true_errors(selection, selection.control_points, data.grid, data.truth)[:, None]
+        known = data.points, data.values, selection.control_points
+        return nested_errors(*known, data.grid, data.truth)[:, None]
     errors = np.empty((len(selection.counts), len(selection.weights)))
     for place in np.ndindex(errors.shape):
         control_points = selection.control_points[: selection.counts[place[0]]]
@@ -63,13 +65,13 @@ def losses(kind, family, draw, names):
     )
     seconds = (time.perf_counter() - start) / len(names)
     errors = true_map(selection, data)
-    found = {BEST: (float(errors.min()), seconds)}
+    results = {BEST: (float(errors.min()), seconds)}
     for name in names:
         count, weight = selection.selected[name], selection.selected_smoothing[name]
         at = selection.counts == count, selection.weights == weight
         chosen = np.inf if count is None else errors[np.ix_(*at)].item()
-        found[name] = float(100 * (chosen / errors.min() - 1)), seconds
-    return found
+        results[name] = float(100 * (chosen / errors.min() - 1)), seconds
+    return results
 
 
 def compute(records, draws):
@@ -79,12 +81,12 @@ def compute(records, draws):
         for draw in range(draws)
         for kind in KINDS
         for family in FAMILIES
-        if (names := [name for name in CRITERIA if not records.has(f"{kind}, {family}", draw, name)])
+        if (names := [name for name in CRITERIA if (f"{kind}, {family}", draw, name) not in records])
     ]
 
-    def keep(index, found):
+    def keep(index, results):
         kind, family, draw, _ = wanted[index]
-        records.add(f"{kind}, {family}", draw, found)
+        records.keep(f"{kind}, {family}", draw, results)
 
     mx.map_problems(losses, wanted, progress=True, on_result=keep)
 
@@ -128,9 +130,9 @@ def draw_losses(records, draws, path):
     for place, axes in np.ndenumerate(grid):
         family, kind = list(FAMILIES)[place[0]], list(KINDS)[place[1]]
         for height, name in enumerate(reversed(CRITERIA)):
-            found = records.drawn(f"{kind}, {family}", name, draws).clip(max=MOST)
-            middle, high = np.percentile(found, [50, 90])
-            axes.plot(found, np.full(draws, height), "o", color="#0072B2", alpha=0.35, ms=4, mew=0)
+            drawn = records.drawn(f"{kind}, {family}", name, draws).clip(max=MOST)
+            middle, high = np.percentile(drawn, [50, 90])
+            axes.plot(drawn, np.full(draws, height), "o", color="#0072B2", alpha=0.35, ms=4, mew=0)
             axes.plot([middle, high], [height, height], color="#D55E00", lw=2)
             axes.plot(middle, height, "o", color="#D55E00", ms=8, mec="white")
         axes.set_title(f"{KINDS[kind]}: {family}", fontsize=11)
@@ -157,12 +159,13 @@ def arguments():
 def run(options):
     """Compute, and write the table and the plot."""
     options.out.mkdir(parents=True, exist_ok=True)
-    records, draws = Records(options.out / "criteria.csv"), FEW if options.quick else DRAWS
-    compute(records, draws)
-    lines = "\n".join([*table(records, draws), "", *gains(records, draws)])
-    (options.out / "criteria.md").write_text(f"{lines}\n", encoding="utf-8")
-    print(lines)
-    draw_losses(records, draws, options.out / "criteria.png")
+    draws = FEW if options.quick else DRAWS
+    with Errors(options.out / "criteria.csv") as records:
+        compute(records, draws)
+        lines = "\n".join([*table(records, draws), "", *gains(records, draws)])
+        (options.out / "criteria.md").write_text(f"{lines}\n", encoding="utf-8")
+        print(lines)
+        draw_losses(records, draws, options.out / "criteria.png")
 
 
 if __name__ == "__main__":

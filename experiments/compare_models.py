@@ -10,7 +10,8 @@ Of every row problems are drawn at random, always the same ones, and every metho
 counts is the median over the draws of the root mean square error: a draw in which a model folds, or the best is found
 by luck, has no more weight than another. The worst draw stands beside it.
 
-DIR/errors.csv keeps all errors, so what is there is not computed again; DIR gets models.md and models.png too.
+DIR/errors.csv, with errors.sqlite beside it, keeps all errors, so what is there is not computed again; DIR gets
+models.md and models.png too.
 """
 
 import argparse
@@ -20,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from comparison import problems
+from comparison.errors import Errors
 from comparison.methods import SURFACES, WARPS, error
-from comparison.records import Records
 from matplotlib.figure import Figure
 
 import mexpress as mx
@@ -61,11 +62,11 @@ LOOKS = {
 def judge(data, row, draw, names):
     """Return {method: (error, seconds)} for a draw of a row."""
     problem = (problems.warps(data) | problems.surfaces(data))[row](draw)
-    found = {}
+    results = {}
     for name in names:
         start = time.perf_counter()
-        found[name] = error(problem, (WARPS | SURFACES)[name]), time.perf_counter() - start
-    return found
+        results[name] = error(problem, (WARPS | SURFACES)[name]), time.perf_counter() - start
+    return results
 
 
 def containing(texts, names):
@@ -76,7 +77,7 @@ def containing(texts, names):
 def needed(options, records, key):
     """Tell whether the error of a row, draw and method is to be computed."""
     row, _, name = key
-    return (row, name) not in TOO_LONG and (options.again or not records.has(*key))
+    return (row, name) not in TOO_LONG and (options.again or key not in records)
 
 
 def draws_of(row, quick):
@@ -97,7 +98,7 @@ def compute(options, records, tables, draws):
     print(f"{len(wanted)} draws to compute", file=sys.stderr)
 
     def keep(index, results):
-        records.add(*wanted[index][1:3], results)
+        records.keep(*wanted[index][1:3], results)
 
     mx.map_problems(judge, wanted, progress=True, on_result=keep)
 
@@ -180,7 +181,6 @@ def arguments():
 def run(options):
     """Compute, and write the tables and the plot."""
     options.out.mkdir(parents=True, exist_ok=True)
-    records = Records(options.out / "errors.csv")
     tables = []
     for drawn, named in (problems.warps(options.data), WARPS), (problems.surfaces(options.data), SURFACES):
         rows = containing(options.rows.split(","), drawn)
@@ -190,15 +190,16 @@ def run(options):
     if not tables:
         sys.exit(f"No row and method have such names; methods are {', '.join(LOOKS)}.")
     draws = {row: draws_of(row, options.quick) for rows, _ in tables for row in rows}
-    compute(options, records, tables, draws)
-    lines = []
-    for rows, methods in tables:
-        lines += [*table(records, rows, methods, draws), ""]
-        if OURS in methods:
-            lines += [*verdicts(records, rows, methods, draws), ""]
-    (options.out / "models.md").write_text("\n".join(lines), encoding="utf-8")
-    print("\n".join(lines))
-    draw_ratios(records, tables, draws, options.out / "models.png")
+    with Errors(options.out / "errors.csv") as records:
+        compute(options, records, tables, draws)
+        lines = []
+        for rows, methods in tables:
+            lines += [*table(records, rows, methods, draws), ""]
+            if OURS in methods:
+                lines += [*verdicts(records, rows, methods, draws), ""]
+        (options.out / "models.md").write_text("\n".join(lines), encoding="utf-8")
+        print("\n".join(lines))
+        draw_ratios(records, tables, draws, options.out / "models.png")
 
 
 if __name__ == "__main__":

@@ -16,13 +16,13 @@ import argparse
 import resource
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from demo_surface import true_errors
 
 import mexpress as mx
 from mexpress.io.clouds import read_cloud
+from mexpress.models.nested_errors import nested_errors
 
 CRITERIA = "FIT,PRESS,CMPRESS,KF10,ER01,ER05,ER10,NN01PCT,NN05PCT,NN10PCT,DELAUNAY,AIC,BIC,GCV"
 HOLES = 12
@@ -72,13 +72,8 @@ def truth(selection, cloud, unseen):
     """Return the root mean square errors at data that were not fitted, a count each; all NaN if there are none."""
     if not len(unseen):
         return np.full(len(selection.counts), np.nan)
-    fitted = selection.values.reshape(len(selection.values), -1)
-    values = cloud.values[unseen].reshape(len(unseen), -1)
-    columns = (
-        true_errors(replace(selection, values=mine), selection.control_points, cloud.points[unseen], theirs)
-        for mine, theirs in zip(fitted.T, values.T, strict=True)
-    )
-    return np.sqrt(sum(errors**2 for errors in columns))
+    known = selection.points, selection.values, selection.control_points
+    return nested_errors(*known, cloud.points[unseen], cloud.values[unseen])
 
 
 def show(selection, near, holes):

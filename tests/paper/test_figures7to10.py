@@ -15,8 +15,8 @@ from mexpress import simulation
 from mexpress.cli import main
 from mexpress.io.clouds import read_cloud
 from mexpress.paper import EXPERIMENTS, Options
-from mexpress.paper.figures7to10 import CRITERIA, Fit, true_errors
-from mexpress.paper.plot_panels import plot_fits
+from mexpress.paper.figures7to10 import CRITERIA
+from mexpress.paper.plot_panels import PanelFit, plot_fits
 from mexpress.paper.surface_data import Subject, read_subject, simulated_depth, simulated_embedding
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -127,23 +127,6 @@ def test_the_kind_is_told_from_the_file(depth, bent):
 # -------------------------------------------------------------------------------------------------------- truth
 
 
-@pytest.mark.parametrize("simulated", [simulated_depth, simulated_embedding])
-def test_true_errors_are_those_of_surfaces_that_are_fitted_one_by_one(simulated):
-    subject = simulated(400, seed=1)
-    control_points = subject.points[:: 400 // 30]
-    errors = true_errors(subject, control_points)
-    assert len(errors) == len(control_points) - 2
-    for count in (3, 4, 17, len(control_points)):
-        surface = mx.fit_surface(subject.points, subject.values, control_points[:count])
-        residuals = (surface(subject.true_points) - subject.true_values).reshape(len(subject.true_points), -1)
-        assert errors[count - 3] == pytest.approx(np.sqrt((residuals**2).sum(axis=1).mean()), rel=1e-8)
-
-
-def test_without_a_truth_errors_are_unknown(depth):
-    subject = read_subject(depth, 200, seed=0)
-    assert np.isnan(true_errors(subject, subject.points[::20])).all()
-
-
 def test_surfaces_with_too_many_control_points_are_worse_and_the_criteria_see_it(tmp_path):
     outcome = run("figure10", tmp_path, plots=False)
     errors = {name: choice["true_rms"] for name, choice in outcome.summary["choices"].items()}
@@ -243,7 +226,7 @@ def test_the_number_of_threads_changes_nothing(tmp_path, bent):
 def fits(subject, *selected):
     data = subject.points, subject.values
     return [
-        Fit((name,), count, 0.5, np.nan, mx.fit_surface(*data, subject.points[:count]))
+        PanelFit((name,), count, 0.5, np.nan, mx.fit_surface(*data, subject.points[:count]))
         for name, count in selected
     ]
 

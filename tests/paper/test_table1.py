@@ -6,207 +6,25 @@ import io
 import json
 import math
 import re
+import shutil
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from inputs import refused
 from matplotlib.image import imread
 
 import mexpress as mx
 from mexpress import simulation
 from mexpress.cli import main
-from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome, table1
-from mexpress.paper import command as reproduce
+from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome, command, table1
 from mexpress.paper.plot_table1 import plot_mean_curves, plot_selections
 from mexpress.paper.published import CRITERIA, PUBLISHED, SIZES, Cell
-from mexpress.paper.records import Records
 from mexpress.paper.table1_cells import Comparison, Curves, compared, table
 from mexpress.paper.table1_claims import claims
-
-COLUMNS = {"n": int, "name": str, "count": int, "FIT": float}
-RUN = {"experiment": "trial", "seed": 0, "quick": False}
-TASKS = {
-    (30, "b"): [(30, "b", 3, 1 / 3), (30, "b", 4, math.nan)],
-    (15, 'a, "quoted"'): [(15, 'a, "quoted"', 3, 1e-300)],
-    (15, "a"): [(15, "a", 3, -math.inf), (15, "a", 4, 2.0), (15, "a", 5, 0.1 + 0.2)],
-}
-
-
-def opened(path, run=RUN, columns=COLUMNS, key=2):
-    return Records(path, run, columns, key)
-
-
-@pytest.fixture
-def path(tmp_path):
-    path = tmp_path / "rows.csv"
-    with opened(path) as records:
-        for rows in TASKS.values():
-            records.add(rows)
-    return path
-
-
-# ------------------------------------------------------------------------------------------------------ records
-
-
-def test_records_return_what_was_added_in_the_order_of_the_keys(path):
-    with opened(path) as records:
-        assert len(records) == 3
-        assert all(key in records for key in TASKS)
-        assert (15, "b") not in records
-        found = records.table()
-    rows = [row for key in sorted(TASKS) for row in TASKS[key]]
-    for k, (name, kind) in enumerate(COLUMNS.items()):
-        assert found[name].dtype.kind == {int: "i", str: "U", float: "f"}[kind]
-        assert [*map(repr, found[name].tolist())] == [repr(row[k]) for row in rows]  # bit for bit, and NaN
-
-
-def test_records_are_a_table_that_others_read(path):
-    with path.open() as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    assert [row["name"] for row in rows] == ["a"] * 3 + ['a, "quoted"'] + ["b"] * 2
-    assert [float(row["FIT"]) for row in rows[:3]] == [-math.inf, 2.0, 0.1 + 0.2]
-
-
-def test_records_do_not_depend_on_the_order_they_came_in(path, tmp_path):
-    other = tmp_path / "other.csv"
-    with opened(other) as records:
-        for key in sorted(TASKS, reverse=True):
-            records.add([tuple(np.array([cell])[0] for cell in row) for row in TASKS[key]])  # numpy's types
-    assert other.read_bytes() == path.read_bytes()
-
-
-def test_rows_are_in_the_file_as_soon_as_they_are_added(tmp_path):
-    path = tmp_path / "rows.csv"
-    records = opened(path)
-    records.add(TASKS[(30, "b")])
-    copy = tmp_path / "copy.csv"
-    copy.write_bytes(path.read_bytes())
-    with opened(copy) as after:
-        assert (30, "b") in after
-    records.close()
-
-
-def test_records_that_are_whole_are_only_read(path):
-    before = path.stat()
-    with opened(path) as records:
-        assert len(records) == 3
-    after = path.stat()
-    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-
-
-def test_one_run_at_a_time_has_the_records(path):
-    with opened(path) as records:
-        before = path.read_bytes()
-        assert "another run has opened" in refused(lambda: opened(path), "out", ValueError)
-        records.add([(15, "b", 3, 1.0)])
-        assert path.read_bytes().startswith(before)
-    assert [file.name for file in path.parent.iterdir()] == ["rows.csv"]
-    with opened(path) as records:
-        assert len(records) == 4
-
-
-def test_records_of_a_run_that_was_killed_are_free(path):
-    script = """
-import sys
-from pathlib import Path
-from mexpress.paper.records import Records
-path, run, columns = Path(sys.argv[1]), {"experiment": "trial", "seed": 0, "quick": False}, dict(
-    n=int, name=str, count=int, FIT=float
-)
-records = Records(path, run, columns, 2)
-records.add([(15, "b", 3, 1.0)])
-print("held", flush=True)
-sys.stdin.read()
-"""
-    with subprocess.Popen(
-        [sys.executable, "-c", script, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout.readline().strip() == b"held"
-        assert "another run has opened" in refused(lambda: opened(path), "out", ValueError)
-        process.kill()
-    assert path.with_name("rows.csv.lock").exists()
-    with opened(path) as records:
-        assert (15, "b") in records
-    assert [file.name for file in path.parent.iterdir()] == ["rows.csv"]
-
-
-def test_records_that_are_refused_stay_free(path):
-    refused(lambda: opened(path, run={**RUN, "seed": 1}), "out", ValueError)
-    with opened(path) as records:
-        assert len(records) == 3
-
-
-def test_records_torn_at_any_byte_keep_the_tasks_that_are_complete(path):
-    whole = path.read_bytes()
-    ends = [whole.index(line) + len(line) for line in (b",0.30000000000000004,3\n", b"e-300,1\n", b"nan,2\n")]
-    assert ends[-1] == len(whole)
-    for cut in range(len(whole)):
-        path.write_bytes(whole[:cut])
-        with opened(path) as records:
-            kept = [key for key in sorted(TASKS) if key in records]
-            assert kept == sorted(TASKS)[: sum(end <= cut for end in ends)]
-            for key in TASKS.keys() - set(kept):
-                records.add(TASKS[key])
-        assert path.read_bytes() == whole
-
-
-def test_a_task_that_came_twice_counts_once(path):
-    *head, first, second, third, _, _, _ = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([*head, first, second, third, first, second, third]))
-    with opened(path) as records:
-        assert len(records) == 1
-        assert len(records.table()["n"]) == 3
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"run": {**RUN, "seed": 1}}, r"another run \(seed 0, not 1\)"),
-        ({"run": {**RUN, "quick": True}}, r"another run \(quick False, not True\)"),
-        ({"run": {"experiment": "trial", "seed": 0}}, r"another run \(quick False, not None\)"),
-        ({"columns": {**COLUMNS, "more": int}}, "whose columns are others"),
-    ],
-)
-def test_records_of_another_run_are_not_mixed(path, options, said):
-    before = path.read_bytes()
-    text = refused(lambda: opened(path, **options), "out", ValueError)
-    assert re.search(said, text), text
-    assert path.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"x,y\n1,2\n",
-        b"\xff\xfe\x00",
-        b"# mexpress records: [1]\nn\n",
-        b"# mexpress records: {\nn\n",
-    ],
-)
-def test_what_is_no_file_of_records_is_not_touched(path, content):
-    path.write_bytes(content)
-    refused(lambda: opened(path), "out", ValueError)
-    assert path.read_bytes() == content
-
-
-@pytest.mark.parametrize("line", ["15,a,3,half,3", "15,a,3", "x,a,3,0.5,1", "15,a,3,0.5,many", "\0" * 9])
-def test_a_damaged_line_is_told(path, line):
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:3], line, *lines[4:], ""]))
-    assert "line 4 is damaged" in refused(lambda: opened(path), "out", ValueError)
-
-
-@pytest.mark.parametrize(
-    "rows", [[], [(15, "c", 3)], [(15, "c", 3, 1.0), (30, "c", 3, 1.0)], [(15, "c", 3, 1.0, 2)]]
-)
-def test_rows_that_are_no_task_are_refused(path, rows):
-    with opened(path) as records:
-        refused(lambda: records.add(rows), "rows", ValueError)
-        assert len(records) == 3
-
 
 # ---------------------------------------------------------------------------------------- the paper's numbers
 
@@ -393,6 +211,12 @@ def test_a_full_run_has_the_paper_s_1800_problems():
         assert len(sheets) >= (8 if n == 500 else 10)
 
 
+def forget(out, which):
+    """Leave a database as a run would that was interrupted before some of its tasks."""
+    with closing(sqlite3.connect(out / "table1-curves.sqlite")) as connection, connection:
+        assert connection.execute(f"DELETE FROM rows WHERE {which}").rowcount > 0
+
+
 def test_a_configuration_is_one_task_whose_sizes_are_records_of_their_own(tmp_path, monkeypatch):
     some = [(simulation.Configuration(0, 1, 0), (30, 15)), (simulation.Configuration(4, 2, 3), (30, 15))]
     monkeypatch.setattr(table1, "_tasks", lambda _: some)
@@ -408,8 +232,7 @@ def test_a_configuration_is_one_task_whose_sizes_are_records_of_their_own(tmp_pa
     table1._computed(options)
     rows = tmp_path / "table1-curves.csv"
     whole = rows.read_bytes()
-    lines = whole.splitlines(keepends=True)
-    rows.write_bytes(b"".join(line for line in lines if not line.startswith(b"4,2,3,15,")))
+    forget(tmp_path, "source = 4 AND target = 2 AND view = 3 AND n = 15")
     curves = table1._computed(options)
     assert rows.read_bytes() == whole
     assert [[(task[0], dict(task[1])) for task in tasks] for tasks in handed] == [
@@ -512,9 +335,9 @@ def test_figures_only_draw_what_table1_computed(out, monkeypatch, capsys):
 
 def test_an_interrupted_run_continues(out, tmp_path, monkeypatch):
     whole = (out / "table1-curves.csv").read_bytes()
-    lines = whole.splitlines(keepends=True)
-    kept = [line for line in lines if line.split(b",")[3:4] != [b"15"] or line.startswith(b"0,")]
-    (tmp_path / "table1-curves.csv").write_bytes(b"".join(kept) + b"9,8,4,15,3,0.1")
+    for ending in ("csv", "sqlite"):
+        shutil.copy(out / f"table1-curves.{ending}", tmp_path)
+    forget(tmp_path, "n = 15 AND source > 0")
     measured = []
 
     def record(*task, seed):
@@ -680,7 +503,7 @@ def test_a_reader_that_has_seen_enough_costs_no_file(trial, tmp_path, monkeypatc
         data=None, out=tmp_path, quick=False, seed=0, threads=None, quiet=True, plots=True
     )
     with pytest.raises(BrokenPipeError):
-        reproduce._run(reproduce.EXPERIMENTS["plain"], arguments)
+        command._run(command.EXPERIMENTS["plain"], arguments)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["good.png", "plain.json"]
 
 

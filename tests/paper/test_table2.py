@@ -3,6 +3,8 @@
 import importlib.util
 import json
 import math
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +18,7 @@ import mexpress as mx
 from mexpress.cli import main
 from mexpress.cli import report as reports
 from mexpress.io.matches import write_matches, write_points_csv
-from mexpress.paper import Options, table2
-from mexpress.paper import published as paper
-from mexpress.paper import table2_cells as choices
+from mexpress.paper import Options, published, table2, table2_cells
 from mexpress.paper.contours import jaccard, outlines, rasterised, resampled, transferred
 from mexpress.paper.plot_scenes import plot_scene
 from mexpress.paper.table2_claims import findings
@@ -335,7 +335,7 @@ def test_messages_name_the_contour_file_and_the_scene(tmp_path):
 
 
 def test_the_criteria_are_the_papers_and_fit():
-    assert ("FIT", *paper.CRITERIA) == CRITERIA
+    assert ("FIT", *published.CRITERIA) == CRITERIA
 
 
 def problem_of(source, target, ring=None, unseen=None):
@@ -451,7 +451,7 @@ def test_choices_are_the_smallest_scores_and_the_best_is_the_truest():
             "KF10": [nan, nan, nan],
         }
     )
-    made = {choice.criterion: choice for choice in choices.choices(table)}
+    made = {choice.criterion: choice for choice in table2_cells.choices(table)}
     assert {name: choice.count for name, choice in made.items() if name in ("FIT", "ER10", "BEST")} == {
         "FIT": 5,
         "ER10": 4,
@@ -460,7 +460,7 @@ def test_choices_are_the_smallest_scores_and_the_best_is_the_truest():
     assert "KF10" not in made
     assert (made["FIT"].jaccard, made["FIT"].transfer, made["ER10"].fit) == (0.7, 1.0, 1)
     unknown = rows({"JACCARD": [nan] * 3, "TRANSFER": [3.0, 2.0, 1.0]})
-    assert {c.criterion: c.count for c in choices.choices(unknown)}["BEST"] == 5
+    assert {c.criterion: c.count for c in table2_cells.choices(unknown)}["BEST"] == 5
 
 
 def test_cells_are_means_and_say_what_failed():
@@ -469,19 +469,21 @@ def test_cells_are_means_and_say_what_failed():
         {"JACCARD": [0.4, 0.8], "ER10": [2, 1]},
     )
     made = [
-        c for k, of in enumerate(curves) for c in choices.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
+        c
+        for k, of in enumerate(curves)
+        for c in table2_cells.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
     ]
-    cells = {cell.criterion: cell for cell in choices.cells(made)}
+    cells = {cell.criterion: cell for cell in table2_cells.cells(made)}
     er = cells["ER10"]
     assert (er.draws, er.failed, er.count, er.count_std) == (2, 1, 3.5, 0.5)
     assert (er.jaccard, er.jaccard_std, er.share) == (0.4, 0.4, 0.875)
-    text = choices.table(list(cells.values()), ["ER10", "NONE"])
+    text = table2_cells.table(list(cells.values()), ["ER10", "NONE"])
     assert "!0.400±0.400" in text
     assert text.splitlines()[-1].split() == ["NONE", "-", "-", "-"]
-    last = choices.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
+    last = table2_cells.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
     assert last.split() == ["ER10", "50.00", "0", "of", "0"]  # linear warps have no denominator
     made = [replace(choice, form="fractional") for choice in made]
-    last = choices.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
+    last = table2_cells.losses(made, {"s": "flat"}, ["ER10"]).splitlines()[-1]
     assert last.split() == ["ER10", "50.00", "1", "of", "2"]
 
 
@@ -492,9 +494,9 @@ def test_a_loss_is_that_of_the_same_draw():
     made = [
         c
         for k, of in enumerate((easy, hard))
-        for c in choices.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
+        for c in table2_cells.choices(rows({**of, "TRANSFER": [1, 2]}, draw=k))
     ]
-    line = choices.losses(made, {"s": "flat"}, ["ER10", "FIT"]).splitlines()[-2:]
+    line = table2_cells.losses(made, {"s": "flat"}, ["ER10", "FIT"]).splitlines()[-2:]
     assert line[0].split()[1] == "0.00"
     assert line[1].split()[1] == "20.00"
 
@@ -502,10 +504,10 @@ def test_a_loss_is_that_of_the_same_draw():
 def test_statements_hold_or_do_not():
     """A statement that a third of the cells bear out does not hold, and says so."""
     made = [
-        choices.Choice(f"s{k}", "linear", 51, 0, "FIT", 26 if k == 0 else 3, 26, 1.0, 0.9, 1.0)
+        table2_cells.Choice(f"s{k}", "linear", 51, 0, "FIT", 26 if k == 0 else 3, 26, 1.0, 0.9, 1.0)
         for k in range(3)
     ]
-    cells = choices.cells(made)
+    cells = table2_cells.cells(made)
     (claim,) = findings(cells, {f"s{k}": "" for k in range(3)}, {})
     assert (claim.holds, claim.evidence) == (False, "in 1 of 3 cells")
     assert claim.text.startswith("does NOT hold: FIT alone takes nearly all")
@@ -604,8 +606,9 @@ def test_the_report_and_the_files_have_every_scene(quick):
 def test_a_run_continues_where_it_stopped(quick, monkeypatch):
     out, outcome = quick
     content = (out / "table2_rows.csv").read_bytes()
-    lines = content.splitlines(keepends=True)
-    (out / "table2_rows.csv").write_bytes(b"".join(lines[: len(lines) - 30]) + lines[-30][:17])
+    with closing(sqlite3.connect(out / "table2_rows.sqlite")) as connection, connection:
+        gone = "scene = 'rigid-perspective' AND draw = 4"
+        assert connection.execute(f"DELETE FROM rows WHERE {gone}").rowcount == 2 * 24
     asked = []
     everything = table2.map_problems
     monkeypatch.setattr(
@@ -614,7 +617,8 @@ def test_a_run_continues_where_it_stopped(quick, monkeypatch):
         lambda f, problems, **more: asked.extend(problems) or everything(f, problems, **more),
     )
     again = table2.TABLE2.run(Options(None, out, quick=True, progress=False, plots=False, threads=1))
-    assert len(asked) == 2  # each has 24 rows
+    assert {(task.scene.name, task.draw) for (task,) in asked} == {("rigid-perspective", 4)}
+    assert len(asked) == 2
     assert (out / "table2_rows.csv").read_bytes() == content
     assert again.report == outcome.report
     asked.clear()

@@ -414,3 +414,63 @@ def test_weights_are_tabulated_and_written(matches, tmp_path, capsys):
 def test_weights_that_are_none(weights, matches, tmp_path, capsys):
     assert main(["warp", str(matches), "--out", str(tmp_path), "--smoothing", weights]) == 2
     assert "must be a weight" in capsys.readouterr().err
+
+
+@pytest.fixture
+def commands_of_others(tmp_path, monkeypatch):
+    """Another package in the environment, which brings a command, one that is broken, and one that has our name."""
+    package = tmp_path / "acme-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
+    points = ("shout = acme:add_shout", "broken = acme_that_is_gone:add", "warp = acme:add_warp")
+    (package / "entry_points.txt").write_text("\n".join(["[mexpress.commands]", *points, ""]))
+    (tmp_path / "acme.py").write_text(
+        "def add_shout(commands):\n"
+        "    parser = commands.add_parser('shout', help='say it loudly')\n"
+        "    parser.set_defaults(run=lambda arguments: print('HELLO'))\n"
+        "def add_warp(commands):\n"
+        "    commands.add_parser('warp', help='engage')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def commands_in_help(text):
+    """Return the names below the title "commands", in their order."""
+    return [line.split()[0] for line in text.partition("COMMAND\n")[2].splitlines() if line[4] != " "]
+
+
+def test_commands_have_an_order_of_their_own(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert commands_in_help(capsys.readouterr().out) == ["apply", "reproduce", "surface", "warp"]
+
+
+@pytest.mark.usefixtures("commands_of_others")
+def test_other_packages_have_commands_and_a_broken_one_costs_no_other(run, matches, tmp_path, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["--help"])
+    captured = capsys.readouterr()
+    assert left.value.code == 0
+    assert commands_in_help(captured.out) == ["apply", "reproduce", "surface", "warp", "shout"]
+    assert captured.err.splitlines()[0] == (
+        "mexpress: no command broken. ModuleNotFoundError: No module named 'acme_that_is_gone'"
+    )
+    assert run("shout") == (0, "HELLO\n", "")
+    status, _, errors = run("broken")
+    assert status == 2
+    assert "no command broken. ModuleNotFoundError" in errors
+    status, text, errors = run("warp", matches, "--counts", "3:5", "--no-plots", "--out", tmp_path / "out")
+    assert status == 0
+    assert "80 matches" in text
+    assert "no command warp. ArgumentError" in errors
+
+
+def test_what_no_command_asks_for_is_not_imported():
+    script = (
+        "import sys, mexpress.cli\n"
+        "mexpress.cli.main(['apply', 'a.npz', 'b.csv'])\n"
+        "print([name for name in sys.modules if name.startswith(('mexpress.paper', 'mexpress.cli.warp'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+    assert done.stderr == "mexpress: error: a.npz: No such file or directory\n"

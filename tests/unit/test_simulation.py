@@ -7,9 +7,10 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from mexpress import simulation
 from mexpress.simulation import Camera, Configuration, Sheet, correspondences, scene, sheets
-from mexpress.simulation.cameras import IMAGE_SIZE, is_simple, random_camera, visible
+from mexpress.simulation.cameras import IMAGE_SIZE
 from mexpress.simulation.developable import _sheets
 from mexpress.simulation.pairs import views
+from mexpress.simulation.poses import is_simple, random_camera, visible
 
 SOME = simulation.configurations()[::37]
 GRID = (34, 60)

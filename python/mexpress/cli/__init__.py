@@ -1,7 +1,8 @@
 """The command line: `mexpress warp`, `mexpress surface`, `mexpress apply`, `mexpress reproduce`.
 
-A command is a function that adds its parser and says what to run; enter another one in `COMMANDS`. Errors of
-the input are one line on standard error and exit status 2.
+A command is a function that adds its parser and says what to run. It is found by its entry point in the group
+``mexpress.commands``, where other packages may have theirs. Errors of the input are one line on standard error and exit
+status 2.
 """
 
 from __future__ import annotations
@@ -9,23 +10,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
-from importlib.metadata import version
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points, version
 
-from mexpress.cli.apply import add_apply
-from mexpress.cli.common import Parser, UsageError
-from mexpress.cli.surface import add_surface
-from mexpress.cli.warp import add_warp
-from mexpress.paper.command import add_reproduce
+from mexpress.cli.common import Parser, UsageError, warn
 
-__all__ = ["COMMANDS", "main"]
-
-COMMANDS: tuple[Callable[[argparse._SubParsersAction[Parser]], None], ...] = (
-    add_warp,
-    add_surface,
-    add_apply,
-    add_reproduce,
-)
+__all__ = ["main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,8 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     0
     ['curves.csv', 'm.csv', 'selection.json', 'warp.npz']
     """
+    words = sys.argv[1:] if argv is None else argv
     try:
-        arguments = _parser().parse_args(argv)
+        arguments = _parser(words).parse_args(words)
         arguments.run(arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -82,10 +73,20 @@ def _failed(message: str, status: int = 2) -> int:
     return status
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser = Parser(prog="mexpress", description="How many control points should this model have?")
     parser.add_argument("--version", action="version", version=f"mexpress {version('mexpress')}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for add in COMMANDS:
-        add(commands)
+    for point in _wanted(words):
+        try:
+            point.load()(commands)
+        except Exception as error:  # another package's fault must not cost the other commands
+            warn(f"no command {point.name}. {type(error).__name__}: {error}")
     return parser
+
+
+def _wanted(words: Sequence[str]) -> list[EntryPoint]:
+    """Return the command that the first word names, for which no other is imported; else all, ours first."""
+    every = entry_points(group="mexpress.commands")
+    points = sorted(every, key=lambda point: (not point.module.startswith("mexpress."), point.name))
+    return [point for point in points if point.name in words[:1]] or points

@@ -50,12 +50,12 @@ def _run(arguments: argparse.Namespace) -> None:
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, arguments.out)
-        _note_doubtful(model, mapped if arguments.inverse else points, mapped)
+        _warn_doubtful(model, mapped if arguments.inverse else points, mapped)
     elif isinstance(model, Surface):
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
         _write(model(points), arguments.out)
-        common.note_outside(model.domain, points, len(points), "the region of the data: the surface")
+        common.warn_outside(model.domain, points, len(points), "the region of the data: the surface")
     else:
         check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
 
@@ -71,14 +71,14 @@ def _write(values: Floats, path: Path | None) -> None:
         matches.write_points_csv(file, table, columns)
 
 
-def _note_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
+def _warn_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
     total = len(mapped)
     lost = (~np.isfinite(mapped).all(axis=1)).sum()
     if lost:
-        common.note(f"{lost} of {total} points have no image")
+        common.warn(f"{lost} of {total} points have no image")
     source = source[np.isfinite(source).all(axis=1)]
-    common.note_outside(warp.domain, source, total, "the region of the matches: the warp")
+    common.warn_outside(warp.domain, source, total, "the region of the matches: the warp")
     vanishing = warp.vanishes(source).sum() if len(source) else 0
     if vanishing:
         what = "are where the warp's denominator vanishes: their images mean nothing"
-        common.note(f"{vanishing} of {total} points {what}")
+        common.warn(f"{vanishing} of {total} points {what}")

@@ -1,4 +1,4 @@
-"""What the commands share: options, notes, and the files of a selection."""
+"""What the commands share: options, warnings, and the files of a selection."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = [
     "add_selection",
     "draw",
     "finite",
-    "note",
-    "note_outside",
-    "note_selection",
     "print_selection",
+    "warn",
+    "warn_outside",
+    "warn_selection",
     "write_selection",
 ]
 
@@ -43,8 +43,8 @@ class UsageError(Exception):
     """The command line cannot be understood."""
 
 
-def note(message: str) -> None:
-    """Tell something beside the results."""
+def warn(message: str) -> None:
+    """Say on standard error what the results do not."""
     print(f"mexpress: {message}", file=sys.stderr)
 
 
@@ -107,8 +107,8 @@ def print_selection(selection: Selection, remark: str = "") -> None:
     print(f"\n{name} selects {selection.count} control points{smoothing}: {name} {selection.score:.4g}.")
 
 
-def note_selection(selection: Selection, lost: str, advice: str) -> None:
-    """Note what makes a selection doubtful.
+def warn_selection(selection: Selection, lost: str, advice: str) -> None:
+    """Warn of what makes a selection doubtful.
 
     Parameters
     ----------
@@ -123,13 +123,13 @@ def note_selection(selection: Selection, lost: str, advice: str) -> None:
     weights, by_weight = selection.weights, len(selection.weights) > 1
     if selection.open.get(selection.count):
         unknowns = selection.open[selection.count]
-        note(
+        warn(
             f"the data leave {unknowns} unknowns open at {selection.count} control points: smoothing determines them."
         )
     if by_weight and selection.smoothing == weights[0] > 0 and selection.count > counts[0]:
-        note("the smallest smoothing tried is selected: less may be better, see --smoothing.")
+        warn("the smallest smoothing tried is selected: less may be better, see --smoothing.")
     if selection.count == counts[-1] and len(counts) > 1 and not by_weight:
-        note(f"{selection.count} is the largest number tried: more may be better, see {advice}.")
+        warn(f"{selection.count} is the largest number tried: more may be better, see {advice}.")
     for name, by_count in selection.undefined.items():
         first = min(by_count)
         some = ", ".join(map(str, by_count[first][:5])) + (", ..." if len(by_count[first]) > 5 else "")
@@ -137,7 +137,7 @@ def note_selection(selection: Selection, lost: str, advice: str) -> None:
             where = f"from {first} control points on"
         else:
             where = f"at {len(by_count)} of {len(counts)} numbers of control points, first at {first}"
-        note(f"{name} has no score {where}: what it leaves does not determine {lost} {some} (from 0).")
+        warn(f"{name} has no score {where}: what it leaves does not determine {lost} {some} (from 0).")
 
 
 def write_selection(arguments: argparse.Namespace, selection: Selection, more: dict[str, Any]) -> list[str]:
@@ -162,7 +162,7 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
         for name, plot in plots.items():
             plot(arguments.out / name)
     except ImportError as error:  # the numbers are worth more than the plots
-        note(f"no plots. {error}")
+        warn(f"no plots. {error}")
         return []
     return list(plots)
 
@@ -172,12 +172,12 @@ def finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def note_outside(domain: Floats, points: Floats, total: int, region: str) -> None:
-    """Note how many points are outside a model's domain, a convex polygon with counter-clockwise corners."""
+def warn_outside(domain: Floats, points: Floats, total: int, region: str) -> None:
+    """Warn of how many points are outside a model's domain, a convex polygon with counter-clockwise corners."""
     edges = np.roll(domain, -1, axis=0) - domain
     about = points[:, None] - domain
     turns = edges[:, 0] * about[..., 1] - edges[:, 1] * about[..., 0]
     slack = 1e-9 * np.ptp(domain, axis=0).max() * np.hypot(*edges.T)
     outside = (turns < -slack).any(axis=1).sum()
     if outside:
-        note(f"{outside} of {total} points are outside {region} extrapolates there")
+        warn(f"{outside} of {total} points are outside {region} extrapolates there")

@@ -12,8 +12,8 @@ import numpy as np
 from mexpress import plotting
 from mexpress._validation import Floats
 from mexpress.cli import common
+from mexpress.io.archives import ARCHIVES
 from mexpress.io.clouds import Cloud, read_cloud
-from mexpress.io.text import ARCHIVES
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.selection.surface import MOST
 
@@ -105,7 +105,7 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     fit = _fit(selection)
     _print(selection, cloud, unit, fit["residuals"])
-    _note(arguments, selection)
+    _warn(arguments, selection)
     more = {
         "n_data": len(cloud.points),
         "n_valid": cloud.n_valid,
@@ -167,11 +167,11 @@ def _print(
     print(f"Residuals of the surface, in {unit or 'the unit of the data'}: {sizes}.")
 
 
-def _note(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
+def _warn(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
     ended = selection.placement == "residual" and selection.counts[-1] < (arguments.max_count or MOST)
-    common.note_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
+    common.warn_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
     if ended:
-        common.note(
+        common.warn(
             f"{selection.counts[-1]} control points are all that there is room for, see --min-distance."
         )
 
@@ -179,13 +179,13 @@ def _note(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
 def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[str]:
     """Write what has a place in space; return the names of the files."""
     if _dimension(cloud.values) not in {1, 3}:
-        common.note("no meshes and no surface.png: they need depths or points in space.")
+        common.warn("no meshes and no surface.png: they need depths or points in space.")
         return []
     names = ["surface.ply", "surface.obj"]
     for name in names:
         selection.surface.write_mesh(out / name)
     if cloud.image_size and _dimension(cloud.values) == 1:
-        common.note("the meshes have x and y in pixels; with --intrinsics they are in metres like the depth.")
+        common.warn("the meshes have x and y in pixels; with --intrinsics they are in metres like the depth.")
     return names
 
 

@@ -132,11 +132,11 @@ def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
         for name, error in health["transfer_error"].items()
     )
     print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
-    common.note_selection(selection, "the warp for match", "--counts")
+    common.warn_selection(selection, "the warp for match", "--counts")
     for key, what in (("folded", "folds"), ("vanishing", "has a denominator that vanishes")):
         if health[key] > 0:
             share = f"{100 * health[key]:.2g} %"
-            common.note(f"the warp {what} over {share} of the region of the matches: do not trust it there.")
+            common.warn(f"the warp {what} over {share} of the region of the matches: do not trust it there.")
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.images import read_image
-from mexpress.io.text import ARCHIVES, read_arrays, read_text
+from mexpress.io.text import read_text
 
 __all__ = ["Cloud", "read_cloud"]
 

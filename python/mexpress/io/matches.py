@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.io.text import ARCHIVES, read_arrays, read_text
+from mexpress.io.archives import ARCHIVES, read_arrays
+from mexpress.io.text import read_text
 
 __all__ = ["read_matches", "read_points", "write_matches", "write_points_csv"]
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.models import files
+from mexpress.io.archives import replacing
 
 __all__ = ["write_obj", "write_ply"]
 
@@ -77,7 +77,7 @@ def write_ply(
         "property list uchar int vertex_indices",
         "end_header\n",
     ]
-    with files.replacing(path) as file:
+    with replacing(path) as file:
         file.writelines(["\n".join(header).encode(), rows.tobytes(), corners.tobytes()])
 
 
@@ -123,7 +123,7 @@ def write_obj(
         corner = "{0}/{0}/{0}" if texture is not None else "{0}//{0}"
     names = [corner.format(k) for k in range(1, len(points) + 1)]
     lines += [f"f {names[a]} {names[b]} {names[c]}\n" for a, b, c in faces.tolist()]
-    with files.replacing(path) as file:
+    with replacing(path) as file:
         file.write("".join(lines).encode())
 
 

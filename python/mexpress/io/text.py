@@ -1,4 +1,4 @@
-"""Numbers in columns: text as people write it, and numpy's archives.
+"""Numbers in columns, as text that people write.
 
 Examples
 --------
@@ -14,18 +14,14 @@ array([[1., 2.]])
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = ["ARCHIVES", "read_arrays", "read_text"]
-
-ARCHIVES = {".npy", ".npz"}
-"""Endings of the files that `read_arrays` reads."""
+__all__ = ["read_text"]
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 
@@ -97,46 +93,6 @@ def read_text(path: Path, name: str, layouts: Sequence[Sequence[str]], *, missin
     if table is None or not (missing or np.isfinite(table).all()):
         table = _one_by_one(lines, separator, layout, name, path, missing)
     return table
-
-
-def read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz file by their names, or the one of an .npy file.
-
-    Parameters
-    ----------
-    path : path
-        Name of the file.
-    name : str
-        What messages, and the result, call the array of an .npy file.
-
-    Returns
-    -------
-    dict of str to ndarray
-        The arrays, none of objects.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or holds objects.
-    OSError
-        If it cannot be read.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.save(f"{folder}/depth.npy", np.ones(2))
-    ...     read_arrays(Path(f"{folder}/depth.npy"), "cloud")
-    {'cloud': array([1., 1.])}
-    """
-    with path.open("rb") as file:
-        try:
-            loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return {name: loaded}
-            return {key: loaded[key] for key in loaded.files}
-        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
-            check.refuse(name, "The file must hold arrays of numbers.", f"{path.name}: {error}")
 
 
 def _lines(path: Path, name: str) -> Iterator[tuple[int, str]]:

@@ -8,16 +8,16 @@ Examples
 """
 
 import os
-import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KINDS", "Storable", "load", "replacing", "save", "storable"]
+from mexpress.io.archives import read_arrays, replacing
+
+__all__ = ["KINDS", "Storable", "load", "save", "storable"]
 
 FORMAT = "mexpress model"
 VERSION = 1
@@ -101,34 +101,6 @@ def save(model: Storable, path: str | os.PathLike[str]) -> None:
         np.savez(file, allow_pickle=False, **header, **model.to_arrays())
 
 
-@contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a file for writing that takes its name, and an older file's place, once it is complete.
-
-    Parameters
-    ----------
-    path : str or path
-        Name of the file, taken as it is. After an error an older file of this name is untouched.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with replacing(f"{folder}/a.txt") as file:
-    ...         count = file.write(b"all of it")
-    ...     Path(f"{folder}/a.txt").read_text()
-    'all of it'
-    """
-    path = Path(path)
-    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
-    try:
-        with part.open("xb") as file:
-            yield file
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
 def load(path: str | os.PathLike[str]) -> Any:
     """Read a model from a file that `save` wrote.
 
@@ -160,7 +132,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     ...     load(f"{folder}/warp.npz")
     Warp(fractional tps, 3 control points)
     """
-    arrays = _read(Path(path))
+    arrays = read_arrays(Path(path), "path")
     try:
         name, version, kind = str(arrays["format"]), int(arrays["version"]), str(arrays["kind"])
     except (KeyError, TypeError, ValueError) as error:
@@ -171,15 +143,6 @@ def load(path: str | os.PathLike[str]) -> Any:
         return KINDS[kind].from_arrays(arrays)
     except (KeyError, TypeError, ValueError) as error:
         raise _invalid(path, f"a model that cannot be rebuilt: {error}") from error
-
-
-def _read(path: Path) -> dict[str, NDArray[Any]]:
-    with path.open("rb") as file:
-        try:
-            with np.load(file, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
-        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
-            raise _invalid(path, f"a file that is no archive of arrays: {error}") from error
 
 
 def _invalid(path: str | os.PathLike[str], what: str) -> ValueError:

@@ -7,8 +7,7 @@ Examples
 ''
 """
 
-from mexpress.paper import figures7to10 as surfaces
-from mexpress.paper import table1, table2
+from mexpress.paper import figures7to10, table1, table2
 from mexpress.paper.experiment import Experiment, Options, Outcome
 
 __all__ = ["EXPERIMENTS", "Experiment", "Options", "Outcome"]
@@ -18,7 +17,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     for experiment in (
         *(table1.TABLE1, table1.FIGURE2, table1.FIGURE3),
         *(table2.TABLE2, table2.FIGURE4, table2.FIGURE5, table2.FIGURE6),
-        *(surfaces.FIGURE7, surfaces.FIGURE8, surfaces.FIGURE9, surfaces.FIGURE10),
+        *(figures7to10.FIGURE7, figures7to10.FIGURE8, figures7to10.FIGURE9, figures7to10.FIGURE10),
     )
 }
 """Every experiment by its name, in the paper's order."""

@@ -81,7 +81,7 @@ def _drawn(outcome: Outcome, options: Options) -> list[str]:
         try:
             draw(options.out / name)
         except Exception as error:  # whatever it is, the numbers are there
-            common.note(f"no {name}. {type(error).__name__}: {error}")
+            common.warn(f"no {name}. {type(error).__name__}: {error}")
         else:
             names.append(name)
     return names
@@ -92,7 +92,7 @@ def _can_plot() -> bool:
     try:
         new_figure(1, 1)
     except ImportError as error:
-        common.note(f"no plots. {error}")
+        common.warn(f"no plots. {error}")
         return False
     return True
 

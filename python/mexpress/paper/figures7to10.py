@@ -13,7 +13,7 @@ Examples
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,14 @@ import numpy as np
 from mexpress import criteria, plotting
 from mexpress._validation import Floats
 from mexpress.cli import report as reports
-from mexpress.liftings import nested_basis
-from mexpress.models.surface import Surface
+from mexpress.models.nested_errors import nested_errors
 from mexpress.paper.experiment import Experiment, Options, Outcome
+from mexpress.paper.plot_panels import ALIKE, PanelFit, grouped, plot_fits
 from mexpress.paper.surface_data import Subject, read_subject, simulated_depth, simulated_embedding
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.selection.fit import fit_surface
 
-__all__ = ["ALIKE", "CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10", "Fit", "grouped", "true_errors"]
+__all__ = ["CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10"]
 
 CRITERIA = (
     *("FIT", "AIC", "BIC", "GCV", "CMPRESS", "KF10", "ER01", "ER05", "ER10"),
@@ -39,9 +39,6 @@ CRITERIA = (
 
 CRITERION = "ER10"
 """Whose choice the plots stress: the paper's advice."""
-
-ALIKE = 0.08
-"""Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
 
 TRUTH = "TRUTH"
 """The name in tables and plots of what no criterion sees."""
@@ -53,77 +50,6 @@ _COUNTS = (175, 100)
 """The largest number of control points, in a full run and in a quick one."""
 
 _IMAGES = "The numbers of an image are divided by 1000: metres if they are millimetres.\n"
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """The surface that some criteria select.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The criteria.
-    count : int
-        Their number of control points.
-    rms : float
-        Root mean square residual, in the unit of the values.
-    truth : float
-        Root mean square error; NaN if the truth is not known.
-    surface : Surface
-        The surface.
-
-    Examples
-    --------
-    >>> corners = [[0, 0], [1, 0], [0, 1]]
-    >>> Fit(("ER10",), 3, 0.0, float("nan"), fit_surface(corners, [1, 2, 3], corners))
-    Fit(names=('ER10',), count=3, rms=0.0, truth=nan, surface=Surface(depth, tps, 3 control points))
-    """
-
-    names: tuple[str, ...]
-    count: int
-    rms: float
-    truth: float
-    surface: Surface
-
-
-def true_errors(subject: Subject, control_points: Floats) -> Floats:
-    """Return the root mean square errors of a subject's surfaces with 3, 4, ... of the control points.
-
-    The models are nested, so one factorisation gives the coefficients of all.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is fitted.
-    control_points : (l, 2) array
-        In the order in which they come.
-
-    Returns
-    -------
-    ndarray, (l - 2,)
-        In the unit of the values, the norm of their d; NaN without a truth.
-
-    Examples
-    --------
-    >>> from mexpress.paper.surface_data import simulated_embedding
-    >>> sheet = simulated_embedding(200, seed=0)
-    >>> true_errors(sheet, sheet.points[:6]).shape
-    (4,)
-    """
-    where = subject.true_points
-    if not len(where):
-        return np.full(len(control_points) - 2, np.nan)
-    truth = subject.true_values.reshape(len(where), -1)
-    orthonormal, triangle = np.linalg.qr(nested_basis(subject.points, control_points))
-    coefficients = orthonormal.T @ subject.values.reshape(len(subject.values), -1)
-    total = np.zeros(len(control_points))
-    for some in np.array_split(np.arange(len(where)), 1 + len(where) // 4000):
-        # Columns that are orthonormal over the data: a model of l control points has the first l of them.
-        columns = np.linalg.solve(triangle.T, nested_basis(where[some], control_points).T)
-        for output in range(truth.shape[1]):
-            predicted = np.cumsum(columns * coefficients[:, output, None], axis=0)
-            total += ((predicted - truth[some, output]) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(total[2:] / len(where)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +72,7 @@ class _Sweep:
         k = int(count - self.selection.counts[0])
         return float(self.selection.curves["FIT"][k]), float(self.truth[k])
 
-    def fits(self) -> list[Fit]:
+    def fits(self) -> list[PanelFit]:
         """The selected surfaces, those with the fewest control points first."""
         by_count: dict[int, list[str]] = {}
         for name, count in self.shown.selected.items():
@@ -154,7 +80,7 @@ class _Sweep:
                 by_count.setdefault(count, []).append(name)
         data = self.subject.points, self.subject.values
         return [
-            Fit(
+            PanelFit(
                 tuple(names),
                 count,
                 *self.at(count),
@@ -182,7 +108,11 @@ def _sweep(kind: str, options: Options) -> _Sweep:
         threads=options.threads,
         progress=options.progress,
     )
-    return _Sweep(subject, _stressed(selection), true_errors(subject, selection.control_points))
+    control_points, where = selection.control_points, subject.true_points
+    truth = np.full(len(control_points) - 2, np.nan)
+    if len(where):
+        truth = nested_errors(subject.points, subject.values, control_points, where, subject.true_values)
+    return _Sweep(subject, _stressed(selection), truth)
 
 
 def _stressed(selection: SurfaceSelection) -> SurfaceSelection:
@@ -203,7 +133,7 @@ def _run(name: str, kind: str, panels: bool, options: Options) -> Outcome:
     if sweep.subject.dimension not in (1, 3):
         return Outcome(report, _summary(sweep), [f"{name}.csv"])
     fits = sweep.fits()
-    plots = {f"{name}.png": lambda path: _draw_fits(sweep.subject, fits, path)}
+    plots = {f"{name}.png": lambda path: plot_fits(sweep.subject, fits, path)}
     return Outcome(report + (_alike(fits) if options.plots else ""), _summary(sweep), [f"{name}.csv"], plots)
 
 
@@ -218,43 +148,7 @@ def _arrival(name: str, sweep: _Sweep) -> dict[str, Callable[[Path], object]]:
     }
 
 
-def _draw_fits(subject: Subject, fits: Sequence[Fit], path: Path) -> None:
-    from mexpress.paper.plot_panels import plot_fits  # noqa: PLC0415  it imports this module
-
-    plot_fits(subject, fits, path)
-
-
-def grouped(fits: Iterable[Fit]) -> list[list[Fit]]:
-    """Put surfaces together that look the same, those with the fewest control points first.
-
-    Parameters
-    ----------
-    fits : iterable of Fit
-        In any order.
-
-    Returns
-    -------
-    list of list of Fit
-        In each, numbers of control points that exceed the first one by less than `ALIKE`.
-
-    Examples
-    --------
-    >>> corners = [[0, 0], [1, 0], [0, 1]]
-    >>> plane = fit_surface(corners, [1, 2, 3], corners)
-    >>> fits = [Fit((name,), count, 0.0, 0.0, plane) for name, count in (("FIT", 27), ("ER05", 26), ("ER10", 9))]
-    >>> [[fit.count for fit in group] for group in grouped(fits)]
-    [[9], [26, 27]]
-    """
-    groups: list[list[Fit]] = []
-    for fit in sorted(fits, key=lambda fit: fit.count):
-        if groups and fit.count < (1 + ALIKE) * groups[-1][0].count:
-            groups[-1].append(fit)
-        else:
-            groups.append([fit])
-    return groups
-
-
-def _alike(fits: Sequence[Fit]) -> str:
+def _alike(fits: Sequence[PanelFit]) -> str:
     """Return which surfaces share a panel of the plot."""
     groups = [group for group in grouped(fits) if len(group) > 1]
     told = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.models.surface import Surface
-from mexpress.paper.figures7to10 import Fit, grouped
 from mexpress.paper.surface_data import Subject
 from mexpress.plotting.figures import PathLike, frame, new_figure, percentile, saved, with_unit
 from mexpress.plotting.solids import Solid, View, draw_solid
@@ -19,7 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_fits"]
+__all__ = ["ALIKE", "PanelFit", "grouped", "plot_fits"]
+
+ALIKE = 0.08
+"""Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
 
 _COLUMNS = 4
 """Most panels in a row."""
@@ -48,10 +50,74 @@ _BAR = 0.05
 _ZOOM = 1.2
 """Of surfaces in space, which have no numbers at their axes."""
 
-Group = Sequence[Fit]
+
+@dataclass(frozen=True, eq=False)
+class PanelFit:
+    """The surface that some criteria select.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The criteria.
+    count : int
+        Their number of control points.
+    rms : float
+        Root mean square residual, in the unit of the values.
+    truth : float
+        Root mean square error; NaN if the truth is not known.
+    surface : Surface
+        The surface.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> corners = [[0, 0], [1, 0], [0, 1]]
+    >>> PanelFit(("ER10",), 3, 0.0, float("nan"), mx.fit_surface(corners, [1, 2, 3], corners))
+    PanelFit(names=('ER10',), count=3, rms=0.0, truth=nan, surface=Surface(depth, tps, 3 control points))
+    """
+
+    names: tuple[str, ...]
+    count: int
+    rms: float
+    truth: float
+    surface: Surface
 
 
-def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = None) -> Figure:
+Group = Sequence[PanelFit]
+
+
+def grouped(fits: Iterable[PanelFit]) -> list[list[PanelFit]]:
+    """Put surfaces together that look the same, those with the fewest control points first.
+
+    Parameters
+    ----------
+    fits : iterable of PanelFit
+        In any order.
+
+    Returns
+    -------
+    list of list of PanelFit
+        In each, numbers of control points that exceed the first one by less than `ALIKE`.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> corners = [[0, 0], [1, 0], [0, 1]]
+    >>> plane = mx.fit_surface(corners, [1, 2, 3], corners)
+    >>> fits = [PanelFit((name,), count, 0.0, 0.0, plane) for name, count in (("FIT", 27), ("ER05", 26), ("ER10", 9))]
+    >>> [[fit.count for fit in group] for group in grouped(fits)]
+    [[9], [26, 27]]
+    """
+    groups: list[list[PanelFit]] = []
+    for fit in sorted(fits, key=lambda fit: fit.count):
+        if groups and fit.count < (1 + ALIKE) * groups[-1][0].count:
+            groups[-1].append(fit)
+        else:
+            groups.append([fit])
+    return groups
+
+
+def plot_fits(subject: Subject, fits: Sequence[PanelFit], path: PathLike | None = None) -> Figure:
     """Plot the surfaces that criteria select, one panel for those that look alike.
 
     Of surfaces whose numbers of control points differ by less than 8 % the one with the fewest is drawn; the title says
@@ -65,7 +131,7 @@ def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = Non
     ----------
     subject : Subject
         The data: depths, or points in space.
-    fits : sequence of Fit
+    fits : sequence of PanelFit
         What to draw, in that order.
     path : str or path, optional
         Where to save the figure.
@@ -86,7 +152,7 @@ def plot_fits(subject: Subject, fits: Sequence[Fit], path: PathLike | None = Non
     >>> from mexpress.paper.surface_data import simulated_embedding
     >>> sheet = simulated_embedding(200, seed=0)
     >>> surface = mx.fit_surface(sheet.points, sheet.values, sheet.points[:9])
-    >>> plot_fits(sheet, [Fit(("CMPRESS", "ER10"), 9, 0.03, 0.02, surface)])
+    >>> plot_fits(sheet, [PanelFit(("CMPRESS", "ER10"), 9, 0.03, 0.02, surface)])
     <Figure size ...>
     """
     groups = grouped(fits)
@@ -155,13 +221,13 @@ class _Scales:
         return {"cmap": "viridis", "vmin": 0.0, "vmax": self.residual}
 
 
-def _residuals(subject: Subject, fit: Fit) -> Floats:
+def _residuals(subject: Subject, fit: PanelFit) -> Floats:
     """Return data minus surface of depths, the distances of points in space."""
     residuals = subject.values - fit.surface(subject.points)
     return residuals if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
 
 
-def _solid(subject: Subject, fit: Fit) -> Solid:
+def _solid(subject: Subject, fit: PanelFit) -> Solid:
     return Solid.of_points(fit.surface, subject.values, subject.image_size is not None, subject.unit)
 
 
@@ -193,12 +259,12 @@ def _draw_note(axes: Axes) -> None:
     axes.text(0.97, 0.5, note, ha="right", va="center", fontsize=9, transform=axes.transAxes)
 
 
-def _draw_residuals(axes: Axes, subject: Subject, fit: Fit, scales: _Scales) -> None:
+def _draw_residuals(axes: Axes, subject: Subject, fit: PanelFit, scales: _Scales) -> None:
     _frame(axes, subject)
     _dots(axes, subject, _residuals(subject, fit), **scales.residual_look)
 
 
-def _draw_surface(axes: Any, subject: Subject, fit: Fit, scales: _Scales) -> None:
+def _draw_surface(axes: Any, subject: Subject, fit: PanelFit, scales: _Scales) -> None:
     if scales.view is None:
         # What is nearer to a camera stands higher.
         _draw_relief(axes, fit.surface, scales.values, 1.0 if subject.image_size is None else -1.0)

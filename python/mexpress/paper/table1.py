@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from mexpress import simulation
 from mexpress.batch import map_problems
 from mexpress.io.matches import write_rows
-from mexpress.paper import plot_table1 as plotting
+from mexpress.io.records import Records
 from mexpress.paper.experiment import Experiment, Options, Outcome
+from mexpress.paper.plot_table1 import plot_mean_curves, plot_selections
 from mexpress.paper.published import CRITERIA, SIZES
-from mexpress.paper.records import Records
 from mexpress.paper.table1_cells import Comparison, Curves, compared, table
 from mexpress.paper.table1_claims import claims
 from mexpress.selection import WarpSelection, largest_count, select_warp
@@ -227,7 +227,7 @@ def _figure2(options: Options) -> Outcome:
     with (options.out / "figure2.csv").open("w", encoding="utf-8", newline="\n") as file:
         write_rows(file, ("n", "count", "criterion", "mean", "std"), _mean_rows(curves))
     summary = {"problems": _problems(curves), "lowest_mean": lowest}
-    plots = {"figure2.png": lambda path: plotting.plot_mean_curves(curves, path)}
+    plots = {"figure2.png": lambda path: plot_mean_curves(curves, path)}
     return Outcome("\n".join(lines), summary, [_CURVES, "figure2.csv"], plots)
 
 
@@ -242,7 +242,7 @@ def _mean_rows(curves: Mapping[int, Curves]) -> Iterator[tuple[object, ...]]:
 def _figure3(options: Options) -> Outcome:
     curves = _computed(options)
     comparisons = compared(curves)
-    plots = {"figure3.png": lambda path: plotting.plot_selections(comparisons, path)}
+    plots = {"figure3.png": lambda path: plot_selections(comparisons, path)}
     summary = {"problems": _problems(curves), "cells": [_cell_summary(c) for c in comparisons]}
     return Outcome(f"{_described(curves)}\n\n{table(comparisons)}", summary, [_CURVES], plots)
 

@@ -24,9 +24,9 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress.batch import map_problems
 from mexpress.io.matches import write_rows
-from mexpress.paper import plot_scenes as plotting
+from mexpress.io.records import Records
 from mexpress.paper.experiment import Experiment, Options, Outcome
-from mexpress.paper.records import Records
+from mexpress.paper.plot_scenes import plot_choices, plot_scene
 from mexpress.paper.table2_cells import BEST, COLUMNS, KEY, Cell, Choice, Table, cells, choices, losses, table
 from mexpress.paper.table2_claims import findings
 from mexpress.paper.transfer import Trial, trial
@@ -93,7 +93,7 @@ def _table2(options: Options) -> Outcome:
         "\n\n".join(part for part in parts if part),
         summary,
         ["table2_rows.csv", "table2.csv"],
-        {"table2.png": lambda path: plotting.plot_choices(found, SHOWN, path)},
+        {"table2.png": lambda path: plot_choices(found, SHOWN, path)},
     )
 
 
@@ -180,7 +180,7 @@ def _figure(name: str, kind: str, options: Options) -> Outcome:
     images = scene.images if isinstance(scene, Recorded) else None
     found = cells(choice for form, judged in trials.items() for choice in _chosen(scene.name, form, judged))
     summary = {"scene": scene.name, "n": n, "cells": [asdict(cell) for cell in found]}
-    plots = {f"{name}.png": lambda path: plotting.plot_scene(trials, scene.name, images, path)}
+    plots = {f"{name}.png": lambda path: plot_scene(trials, scene.name, images, path)}
     return Outcome(_explained(found), summary, [f"{name}.csv"], plots)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.models.warp import Warp
-from mexpress.paper import published as paper
+from mexpress.paper import published
 from mexpress.paper.contours import Mask, jaccard, rasterised, transferred
 from mexpress.paper.two_views import Problem
 from mexpress.placement import lattice
@@ -26,7 +26,7 @@ from mexpress.selection import WarpSelection, select_warp
 
 __all__ = ["CRITERIA", "MEASURES", "Trial", "trial"]
 
-CRITERIA = ("FIT", *paper.CRITERIA)
+CRITERIA = ("FIT", *published.CRITERIA)
 """Of the paper's tables."""
 
 MEASURES = ("JACCARD", "TRANSFER", "LOST", "FOLDED", "VANISHING")

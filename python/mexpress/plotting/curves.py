@@ -23,7 +23,7 @@ from mexpress.plotting.figures import (
     saved,
     with_unit,
 )
-from mexpress.selection import Selection, WarpSelection
+from mexpress.plotting.subjects import SelectionLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,9 @@ _LABELS, _GAP = 1.05, 0.047
 """Where labels are, and their distance, as fractions of the width and the height of the axes."""
 
 
-def plot_selection(selection: Selection, path: PathLike | None = None, *, unit: str | None = None) -> Figure:
+def plot_selection(
+    selection: SelectionLike, path: PathLike | None = None, *, unit: str | None = None
+) -> Figure:
     """Plot every criterion against the number of control points, and what each would select.
 
     A label at the end of every curve names its criterion and what that selects; the criteria that hold out
@@ -104,7 +106,7 @@ def plot_selection(selection: Selection, path: PathLike | None = None, *, unit: 
     mapped = several and len(selection.counts) > _FEW
     figure = new_figure(8.6, 8.4 if mapped else 5.0)
     axes, *below = figure.subplots(1 + mapped, 1, squeeze=False, sharex=True)[:, 0]
-    default = "pixels of the target image" if isinstance(selection, WarpSelection) else None
+    default = "pixels of the target image" if _is_of_warps(selection) else None
     label = with_unit("criterion", unit or default)
     _draw_curves(axes, selection, line)
     axes.set_ylabel(label)
@@ -127,13 +129,13 @@ class _Line:
     """What curves are drawn against: positions, scores there, which position each criterion selects, and its name."""
 
     x: Floats
-    curves: dict[str, Floats]
+    curves: Mapping[str, Floats]
     best: dict[str, int | None]
     names: list[str]
     weights: bool
 
 
-def _over_counts(selection: Selection) -> _Line:
+def _over_counts(selection: SelectionLike) -> _Line:
     counts = selection.counts.tolist()
     best = {
         name: None if count is None else counts.index(count) for name, count in selection.selected.items()
@@ -141,7 +143,7 @@ def _over_counts(selection: Selection) -> _Line:
     return _Line(selection.counts.astype(float), selection.curves, best, [str(c) for c in counts], False)
 
 
-def _over_weights(selection: Selection) -> _Line:
+def _over_weights(selection: SelectionLike) -> _Line:
     """At the selected count; each criterion's mark is what it would select there."""
     k = selection.place[0]
     curves = {name: scores[k] for name, scores in selection.maps.items()}
@@ -151,7 +153,7 @@ def _over_weights(selection: Selection) -> _Line:
     return _Line(weight_positions(selection.weights), curves, best, names, True)
 
 
-def _draw_curves(axes: Axes, selection: Selection, line: _Line) -> None:
+def _draw_curves(axes: Axes, selection: SelectionLike, line: _Line) -> None:
     curves, rescaled = _on_one_axis(line.curves, selection.criterion)
     looks = _looks(list(curves))
     _set_limits(axes, curves, line.x, selection.criterion)
@@ -186,7 +188,7 @@ def draw_weights(axis: Axis, weights: Floats) -> None:
     axis.set_ticks([place for place, _ in marks], [text for _, text in marks])
 
 
-def _write_parameters(axes: Axes, selection: Selection) -> None:
+def _write_parameters(axes: Axes, selection: SelectionLike) -> None:
     """Write how many effective parameters the selected count has, along the top."""
     if selection.parameters is None:
         return
@@ -198,7 +200,7 @@ def _write_parameters(axes: Axes, selection: Selection) -> None:
     top.tick_params(labelsize=9, labelcolor=GRAY, color=GRAY)
 
 
-def _draw_map(axes: Axes, selection: Selection, unit: str | None) -> None:
+def _draw_map(axes: Axes, selection: SelectionLike, unit: str | None) -> None:
     """Draw the selecting criterion over counts and weights, up to three times its smallest score."""
     name, scores = selection.criterion, selection.maps[selection.criterion]
     x, y = selection.counts.astype(float), weight_positions(selection.weights)
@@ -228,7 +230,7 @@ def _draw_map(axes: Axes, selection: Selection, unit: str | None) -> None:
     axes.set_ylabel("weight of the bending energy")
 
 
-def _choices(selection: Selection) -> dict[str, tuple[int, int]]:
+def _choices(selection: SelectionLike) -> dict[str, tuple[int, int]]:
     """Positions of what each criterion selects; those that select the same together."""
     counts, weights = selection.counts.tolist(), selection.weights.tolist()
     at: dict[tuple[int, int], list[str]] = {}
@@ -351,9 +353,13 @@ def _draw(
         axes.axvline(x[best], color=colour, lw=1, alpha=0.4, zorder=1)
 
 
-def _label(names: Sequence[str], rescaled: set[str], selection: Selection) -> str:
+def _is_of_warps(selection: SelectionLike) -> bool:
+    return hasattr(selection, "warp")
+
+
+def _label(names: Sequence[str], rescaled: set[str], selection: SelectionLike) -> str:
     notes = [" (rescaled)" if name in rescaled else "" for name in names]
-    if isinstance(selection, WarpSelection):  # two rows a match
+    if _is_of_warps(selection):  # which have two rows a match
         notes = [" (per row)" if name == "PRESS" else note for name, note in zip(names, notes, strict=True)]
     return " = ".join(name + note for name, note in zip(names, notes, strict=True))
 

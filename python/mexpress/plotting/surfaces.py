@@ -22,7 +22,7 @@ from mexpress.plotting.figures import (
     with_unit,
 )
 from mexpress.plotting.solids import Solid, draw_solid
-from mexpress.selection import SurfaceSelection
+from mexpress.plotting.subjects import SurfaceSelectionLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -213,7 +213,7 @@ def plot_residuals(
 
 
 def plot_control_points(
-    selection: SurfaceSelection,
+    selection: SurfaceSelectionLike,
     path: PathLike | None = None,
     *,
     image_size: ImageSize = None,

@@ -1,21 +1,14 @@
-"""Cameras that see a whole sheet.
-
-See `Camera`.
-"""
+"""Pinhole cameras, and the nearest one that has all points of a surface in view."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-
-if TYPE_CHECKING:
-    from mexpress.simulation.developable import Sheet
 
 __all__ = ["Camera"]
 
@@ -28,20 +21,8 @@ SENSOR = 35.0
 FOCAL = (20.0, 50.0)
 """Focal lengths in millimetres."""
 
-TILT = (0.8, 0.3)
-"""Largest and least angle in radians between the optical axis and the sheet's mean normal."""
-
-ROLL = 0.1
-"""Largest angle in radians by which the sheet is turned in the image."""
-
-GRAZING = 0.2
-"""Least cosine between the sheet's normals and the rays that see it."""
-
 FILL = 1.6
 """By how much a camera is nearer than the nearest that has all of a sheet in view, so that the sheet fills the view."""
-
-DRAWS = 100
-"""Random poses that are tried, ever nearer to the frontal one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,9 +125,9 @@ def pixels(focal: float) -> float:
     return focal * IMAGE_SIZE[0] / SENSOR
 
 
-def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False, fill: float = 1.0) -> Camera:
-    """The nearest camera of this direction that has all of a sheet in view, in the middle; nearer by `fill`."""
-    seen = sheet.samples[0] @ rotation.T
+def look(points: Floats, rotation: Floats, focal: float, affine: bool = False, fill: float = 1.0) -> Camera:
+    """The nearest camera of this direction that has all points (k, 3) in view, in the middle; nearer by `fill`."""
+    seen = points @ rotation.T
     depth = np.zeros(len(seen)) if affine else seen[:, 2]
     centres, distances = [], []
     for axis in range(2):
@@ -159,63 +140,13 @@ def look(sheet: Sheet, rotation: Floats, focal: float, affine: bool = False, fil
     return Camera(focal, rotation, np.array([*centres, max(distances) / fill]), affine)
 
 
-def facing(sheet: Sheet, camera: Camera) -> float:
-    """Least cosine between the sheet's normals and the rays that see it; -1 if a part is not ahead of the camera."""
-    points, normals = sheet.samples
+def facing(points: Floats, normals: Floats, camera: Camera) -> float:
+    """Least cosine between a surface's normals and the rays that see it; -1 if a part is not ahead of the camera."""
     if not camera.affine and (points @ camera.rotation[2] + camera.translation[2]).min() <= 0:
         return -1.0
     return float((normals * camera.rays(points)).sum(axis=1).min())
 
 
-def visible(sheet: Sheet, camera: Camera) -> bool:
-    """Whether nothing hides any part of the sheet, and the camera sees it nowhere grazing.
-
-    A map that is one-to-one near every point of a disk, and on the disk's border, is one-to-one.
-    """
-    return facing(sheet, camera) > GRAZING and is_simple(camera(sheet(sheet.border())))
-
-
 def in_frame(images: Floats) -> NDArray[np.bool_]:
     """Which points (k, 2) are in the image, (k,)."""
     return np.asarray(((images >= 0) & (images <= IMAGE_SIZE)).all(axis=1))
-
-
-def is_simple(polygon: Floats) -> bool:
-    """Whether the sides of a closed polygon (k, 2) meet nowhere but at their common ends."""
-    start, along = polygon, np.roll(polygon, -1, axis=0) - polygon
-
-    def side(points: Floats) -> Floats:
-        """On which side of every line (rows) points (columns) are."""
-        offset = points[None] - start[:, None]
-        return np.sign(along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0])
-
-    starts, ends = side(start), side(start + along)
-    apart = starts * ends
-    crossing = (apart < 0) & (apart.T < 0)
-    return not bool(crossing.any())
-
-
-def random_camera(
-    sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False, fill: float = 1.0
-) -> Camera:
-    """A camera that sees a sheet, nowhere hidden, from a random direction; from the front, if it has to be."""
-    for share in np.sqrt(np.linspace(1, 0, DRAWS)):
-        camera = look(sheet, _random_rotation(rng, share), focal, affine, fill)
-        if visible(sheet, camera):
-            break
-    return camera
-
-
-def _random_rotation(rng: np.random.Generator, share: float) -> Floats:
-    """Tilt about any axis in the image, after a roll; both a share of what they may be."""
-    tilt = np.arccos(rng.uniform(*np.cos(share * np.array(TILT))))
-    roll, axis = share * rng.uniform(-ROLL, ROLL), rng.uniform(0, 2 * np.pi)
-    turned = _about_z(axis)
-    cosine, sine = np.cos(tilt), np.sin(tilt)
-    about_x = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
-    return np.asarray(turned @ about_x @ turned.T @ _about_z(roll))
-
-
-def _about_z(angle: float) -> Floats:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])

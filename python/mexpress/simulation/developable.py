@@ -328,8 +328,8 @@ def _sheet(seed: int, index: int, bend: float) -> Sheet:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, index)))
     while True:
         sheet = _random_sheet(rng, bend)
-        frontal = look(sheet, np.eye(3), FOCAL[0])
-        if facing(sheet, frontal) > MARGIN:
+        frontal = look(sheet.samples[0], np.eye(3), FOCAL[0])
+        if facing(*sheet.samples, frontal) > MARGIN:
             return sheet
         bend *= 0.97  # an upper bound on the draws
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.simulation.cameras import FILL, FOCAL, IMAGE_SIZE, Camera, in_frame, random_camera
+from mexpress.simulation.cameras import FILL, FOCAL, IMAGE_SIZE, Camera, in_frame
 from mexpress.simulation.developable import COUNT, Sheet, sheets
+from mexpress.simulation.poses import random_camera
 
 __all__ = ["Configuration", "Correspondences", "configurations", "correspondences"]
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.simulation.cameras import FOCAL, random_camera
+from mexpress.simulation.cameras import FOCAL
 from mexpress.simulation.developable import HEIGHT, WIDTH, Sheet, sheets
 from mexpress.simulation.pairs import Correspondences, match, stream
+from mexpress.simulation.poses import random_camera
 
 __all__ = ["scene"]
 

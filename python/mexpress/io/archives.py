@@ -1,0 +1,96 @@
+"""Files as a whole: numpy's archives of arrays read from strangers, and files that are replaced once they are complete.
+
+Examples
+--------
+>>> import tempfile
+>>> with tempfile.TemporaryDirectory() as folder:
+...     with replacing(f"{folder}/depth.npy") as file:
+...         np.save(file, np.ones(2))
+...     read_arrays(Path(f"{folder}/depth.npy"), "cloud")
+{'cloud': array([1., 1.])}
+"""
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _validation as check
+
+__all__ = ["ARCHIVES", "read_arrays", "replacing"]
+
+ARCHIVES = {".npy", ".npz"}
+"""Endings of the files that `read_arrays` reads."""
+
+
+def read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an .npz file by their names, or the one of an .npy file.
+
+    Parameters
+    ----------
+    path : path
+        Name of the file.
+    name : str
+        What messages, and the result, call the array of an .npy file.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The arrays, none of objects.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or holds objects.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/depth.npy", np.ones(2))
+    ...     read_arrays(Path(f"{folder}/depth.npy"), "cloud")
+    {'cloud': array([1., 1.])}
+    """
+    with path.open("rb") as file:
+        try:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {name: loaded}
+            return {key: loaded[key] for key in loaded.files}
+        except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
+            check.refuse(name, "The file must hold arrays of numbers.", f"{path.name}: {error}")
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a file for writing that takes its name, and an older file's place, once it is complete.
+
+    Parameters
+    ----------
+    path : str or path
+        Name of the file, taken as it is. After an error an older file of this name is untouched.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with replacing(f"{folder}/a.txt") as file:
+    ...         count = file.write(b"all of it")
+    ...     Path(f"{folder}/a.txt").read_text()
+    'all of it'
+    """
+    path = Path(path)
+    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
+    try:
+        with part.open("xb") as file:
+            yield file
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,71 @@
+"""How far from the truth surfaces with more and more control points are."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mexpress import _validation as check
+from mexpress._validation import Floats
+from mexpress.liftings import nested_basis
+
+__all__ = ["nested_errors"]
+
+_BLOCK = 4000
+"""Points whose predictions are in memory together."""
+
+
+def nested_errors(
+    points: ArrayLike, values: ArrayLike, control_points: ArrayLike, unseen: ArrayLike, truth: ArrayLike
+) -> Floats:
+    """Return the errors, at points that were not fitted, of the surfaces with the first 3, 4, ... control points.
+
+    The surfaces are thin-plate splines without smoothing. They are nested, so one factorisation gives the coefficients
+    of all.
+
+    Parameters
+    ----------
+    points : array_like, (n, 2)
+        Where the data are.
+    values : array_like, (n,) or (n, d)
+        The data.
+    control_points : array_like, (l, 2)
+        In the order in which they come.
+    unseen : array_like, (k, 2)
+        Where the truth is known, one point at least.
+    truth : array_like, (k,) or (k, d)
+        What the surfaces should be there.
+
+    Returns
+    -------
+    ndarray, (l - 2,)
+        Root mean square errors in the unit of the values, of the norm where a datum has d of them.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape does not fit, or an entry is not a finite number.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> points, unseen = rng.uniform(0, 6, (2, 200, 2))
+    >>> errors = nested_errors(points, np.sin(points[:, 0]), points[:50], unseen, np.sin(unseen[:, 0]))
+    >>> errors.shape, bool(errors[-1] < 0.1 < errors[0])
+    ((48,), True)
+    """
+    unseen = check.points(unseen, "unseen")
+    orthonormal, triangle = np.linalg.qr(nested_basis(points, control_points))
+    measured = check.columns(values, "values", len(orthonormal)).reshape(len(orthonormal), -1)
+    coefficients = orthonormal.T @ measured
+    expected = check.columns(truth, "truth", len(unseen)).reshape(len(unseen), -1)
+    if expected.shape[1] != measured.shape[1]:
+        rule = f"It must have as many columns as values, {measured.shape[1]}."
+        check.refuse("truth", rule, f"{expected.shape[1]}")
+    total = np.zeros(len(triangle))
+    for start in range(0, len(unseen), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        # Columns that are orthonormal over the data: a model of l control points has the first l of them.
+        columns = np.linalg.solve(triangle.T, nested_basis(unseen[some], control_points).T)
+        for along, wanted in zip(coefficients.T, expected[some].T, strict=True):
+            predicted = np.cumsum(columns * along[:, None], axis=0)
+            total += ((predicted - wanted) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(total[2:] / len(unseen)))
