@@ -18,8 +18,6 @@ from typing import Any, TypeVar
 from mexpress import _validation as check
 from mexpress.progress import bar
 
-__all__ = ["map_problems"]
-
 Result = TypeVar("Result")
 Problem = tuple[Any, ...] | Mapping[str, Any]
 Call = tuple[tuple[Any, ...], dict[str, Any]]

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = ["Region", "area", "covered_region", "diagonal", "inside", "lattice", "nearest", "thinness"]
-
 NEAR_LINE = 1e-6
 """Points are on a line when their spread across it is below this fraction of the spread along it."""
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress._validation import Integers
 
-__all__ = ["IndexSets", "checked", "compress", "concatenate", "contained", "singletons"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IndexSets(Sequence[Integers]):

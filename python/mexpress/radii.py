@@ -18,8 +18,6 @@ from mexpress.geometry import diagonal as _diagonal
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Places
 
-__all__ = ["RadiusCurve", "score_by_radius"]
-
 PERCENTS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0, 15.0, 20.0)
 QUERIES = 1000
 

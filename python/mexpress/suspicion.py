@@ -19,8 +19,6 @@ from mexpress._validation import Floats, Integers
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Scheme
 
-__all__ = ["Suspects", "SuspicionWarning", "studentised_squares", "suspects"]
-
 LEFT_OUT = 1e-8
 """Weight of a datum that does not count: it is predicted like any other, and pulls nothing."""
 

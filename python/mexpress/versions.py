@@ -11,8 +11,6 @@ import numpy as np
 
 from mexpress import _validation as check
 
-__all__ = ["show_versions"]
-
 
 def show_versions() -> None:
     """Print the versions of mexpress and of what it stands on: please paste them into a report of a problem.

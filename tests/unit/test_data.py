@@ -103,7 +103,7 @@ def test_weights_of_the_data_enter_every_fit(kind, nested, smoothing):
     unweighted = sweep_designs(
         [design.weighted(None) for design in designs], np.array(smoothing), scorer, 1, int
     )
-    assert not np.allclose(sweep.scores["CMPRESS"], unweighted.scores["CMPRESS"], rtol=1e-3)
+    assert not np.allclose(sweep.maps["CMPRESS"], unweighted.maps["CMPRESS"], rtol=1e-3)
 
 
 def test_diagonals_are_of_the_image_or_of_the_points():

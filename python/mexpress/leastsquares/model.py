@@ -24,8 +24,6 @@ from mexpress.index_sets import IndexSets, checked, compress, concatenate, singl
 from mexpress.leastsquares.problem import Problem
 from mexpress.schemes import Scheme
 
-__all__ = ["CrossValidation", "LeastSquares", "RankLossWarning"]
-
 
 class RankLossWarning(UserWarning):
     """Some held-out sets leave training rows that no longer determine the model.

@@ -30,8 +30,6 @@ from mexpress.index_sets import IndexSets, singletons
 from mexpress.leastsquares.problem import Problem, penalty_rows
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
-__all__ = ["cross_validate_nested"]
-
 _BLOCK = 2048
 """Neighbourhoods in one call of the core: progress shows between calls."""
 

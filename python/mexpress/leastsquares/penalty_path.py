@@ -25,8 +25,6 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.leastsquares.model import LeastSquares
 
-__all__ = ["FittedAt", "PenaltyPath"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedAt:

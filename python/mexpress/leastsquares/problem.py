@@ -18,8 +18,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.index_sets import IndexSets
 
-__all__ = ["Problem", "penalty_rows"]
-
 # Residuals of the lightest data lose half as many digits as the weights span.
 WEIGHT_RATIO = 1e12
 

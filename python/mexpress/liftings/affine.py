@@ -15,8 +15,6 @@ from mexpress.liftings.lifting import register
 from mexpress.liftings.sparse import Entries, SparseLifting
 from mexpress.liftings.triangulation import Indices, Triangulation
 
-__all__ = ["PiecewiseAffine"]
-
 
 @register
 class PiecewiseAffine(SparseLifting):

@@ -13,8 +13,6 @@ from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register
 from mexpress.liftings.sparse import Entries, SparseLifting
 
-__all__ = ["BSpline"]
-
 _SLACK = 1e-4
 """Control points may be off the grid by this fraction of its step."""
 

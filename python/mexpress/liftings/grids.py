@@ -12,8 +12,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import Region
 
-__all__ = ["grid", "grid_counts"]
-
 
 def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
     """Return how many control points the grids over a region have, up to a largest number.

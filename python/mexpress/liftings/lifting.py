@@ -15,17 +15,6 @@ from mexpress._validation import Floats, Integers
 from mexpress.geometry import NEAR_LINE, Region, covered_region, thinness
 from mexpress.placement import COINCIDENT, lloyd
 
-__all__ = [
-    "LIFTINGS",
-    "Lifting",
-    "blocks",
-    "check_lifting",
-    "check_spread",
-    "lifting_named",
-    "make_lifting",
-    "register",
-]
-
 _CHUNK = 1 << 14
 """Numbers in one block of a temporary array, 128 KiB: blocks that stay in cache are also the fastest."""
 

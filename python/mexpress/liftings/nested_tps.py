@@ -9,8 +9,6 @@ from mexpress.geometry import NEAR_LINE, thinness
 from mexpress.liftings.lifting import blocks, check_spread
 from mexpress.liftings.tps import kernel
 
-__all__ = ["NestedSplines", "nested_basis", "nested_bending"]
-
 
 class NestedSplines:
     """The functions of `nested_basis` and their bending, of control points that are looked at once.

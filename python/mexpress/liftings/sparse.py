@@ -11,8 +11,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.liftings.lifting import Lifting, blocks
 
-__all__ = ["Entries", "SparseLifting"]
-
 Entries: TypeAlias = Iterator[tuple[slice | NDArray[np.intp], NDArray[np.intp], Floats]]
 """What `SparseLifting.entries` returns."""
 

@@ -10,8 +10,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.liftings.lifting import Lifting, blocks, register
 
-__all__ = ["ThinPlateSpline", "kernel"]
-
 
 @register
 class ThinPlateSpline(Lifting):

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from mexpress import _core
 from mexpress._validation import Floats
 
-__all__ = ["Indices", "Triangulation"]
-
 Indices: TypeAlias = NDArray[np.intp]
 
 _SAME_DIRECTION = 1e-9

@@ -17,8 +17,6 @@ from mexpress.geometry import Region
 from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.models import files
 
-__all__ = ["Model"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Model(ABC):
@@ -42,6 +40,10 @@ class Model(ABC):
     domain: Floats
     smoothing: float = 0.0
     kind: ClassVar[str]
+
+    def __init_subclass__(cls) -> None:
+        if "kind" in vars(cls):  # a class derived from one of ours is loaded as ours
+            files.KINDS[cls.kind] = cls
 
     def __post_init__(self) -> None:
         check_lifting(self.lifting)

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast
+from typing import ClassVar, Generic, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,48 +36,7 @@ from mexpress.liftings import Lifting, NestedSplines, ThinPlateSpline
 from mexpress.models.base import Model
 from mexpress.models.warp import Warp
 
-__all__ = [
-    "Basis",
-    "CardinalBasis",
-    "Design",
-    "FractionalDesign",
-    "LinearDesign",
-    "ModelT",
-    "NestedBasis",
-    "fractional_design",
-    "linear_design",
-]
-
 ModelT = TypeVar("ModelT", bound=Model)
-
-
-class Basis(Protocol):
-    """Functions of the plane, one a control point, that sum to one or span the constants otherwise."""
-
-    @property
-    def count(self) -> int:
-        """Number of control points, l."""
-
-    def at(self, points: Floats) -> Floats:
-        """Return the functions at points, (n, l)."""
-
-    def bending(self) -> Floats:
-        """Return the rows Z of the bending energy, (k, l)."""
-
-    def lifting(self, count: int) -> Lifting:
-        """Return the lifting of the first control points."""
-
-    def parameters(self, count: int) -> Floats:
-        """Return what the coefficients of the first functions are multiplied by to be the lifting's parameters."""
-
-    def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
-        """Return what rows, (n, l), make of p_3 = origin + N z, all that satisfy normal . p_3 = 1: of both parts.
-
-        `one` is what a row makes of the constant function 1: 1 if the rows are values, 0 if they are bendings.
-        """
-
-    def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
-        """Return the columns of p_1, of p_2 and of the denominator in a fractional design."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +73,15 @@ class CardinalBasis:
         return self.functions
 
     def parameters(self, count: int) -> Floats:
-        """Return the identity: coefficients are the lifting's parameters."""
+        """Return what coefficients are multiplied by to be the lifting's parameters: the identity."""
         return np.eye(count)
 
     def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
-        """Return rows @ origin and rows @ N: parameters all the same, and an orthonormal complement of the normal."""
+        """Return rows @ origin and rows @ N, for rows (n, l): all p_3 with normal . p_3 = 1 are origin + N z.
+
+        The origin has parameters all the same, and N is an orthonormal complement of the normal. `one` is what a row
+        makes of the constant function 1: 1 if the rows are values, 0 if they are bendings.
+        """
         mirror = normal / np.linalg.norm(normal)
         sign = 1.0 if mirror[0] >= 0 else -1.0
         # Householder's reflection takes the normal to the first axis, and the other axes to its complement.
@@ -193,6 +156,9 @@ class NestedBasis:
         first = np.concatenate([[0, 1, 2], later])
         second = np.concatenate([[3, 4, 5], later + 1])
         return first, second, np.concatenate([[6, 7], later + 2])
+
+
+Basis: TypeAlias = CardinalBasis | NestedBasis
 
 
 @dataclass(frozen=True, eq=False, repr=False)

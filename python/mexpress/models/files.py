@@ -8,70 +8,27 @@ Examples
 """
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mexpress.io.archives import read_arrays, replacing
-
-__all__ = ["KINDS", "Storable", "load", "save", "storable"]
 
 FORMAT = "mexpress model"
 VERSION = 1
 
-Arrays = Mapping[str, NDArray[Any]]
+
+KINDS: dict[str, Any] = {}
+"""Every class of models that files can hold, by its kind; `Model` enters its subclasses."""
 
 
-class Storable(Protocol):
-    """A model that arrays describe wholly.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> warp = mx.fit_warp(square, square, square[:3])
-    >>> warp.kind, mx.Warp.from_arrays(warp.to_arrays())
-    ('warp', Warp(fractional tps, 3 control points))
-    """
-
-    kind: ClassVar[str]
-
-    def to_arrays(self) -> Arrays:
-        """Return what `from_arrays` needs, by name; no object arrays."""
-
-    @classmethod
-    def from_arrays(cls, arrays: Arrays) -> Self:
-        """Rebuild the model; KeyError, TypeError or ValueError if the arrays do not describe one."""
-
-
-KINDS: dict[str, type[Storable]] = {}
-"""Every class of models that files can hold, by its kind."""
-
-Model = TypeVar("Model", bound=Storable)
-
-
-def storable(model_class: type[Model]) -> type[Model]:
-    """Enter a class of models in `KINDS`; used as its decorator.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> storable(mx.Warp) is mx.Warp is KINDS["warp"]
-    True
-    """
-    KINDS[model_class.kind] = model_class
-    return model_class
-
-
-def save(model: Storable, path: str | os.PathLike[str]) -> None:
+def save(model: Any, path: str | os.PathLike[str]) -> None:
     """Write a model to a file.
 
     Parameters
     ----------
-    model : Storable
+    model : Model
         A warp, or another model whose class is in `KINDS`.
     path : str or path
         Name of the file, taken as it is. A file of this name is replaced once the new one is complete.

@@ -7,8 +7,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.liftings import nested_basis
 
-__all__ = ["nested_errors"]
-
 _BLOCK = 4000
 """Points whose predictions are in memory together."""
 

@@ -21,10 +21,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.geometry import EDGE, area, inside
 from mexpress.io import meshes
-from mexpress.models import files
 from mexpress.models.base import Model
-
-__all__ = ["Surface", "SurfaceGrid"]
 
 _SAMPLES = 10_000
 """About how many samples of a grid are inside the domain unless the user says otherwise."""
@@ -87,7 +84,6 @@ class SurfaceGrid:
         return _positions(self.x, self.y)
 
 
-@files.storable
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface(Model):
     """A smooth map from points of the plane to depths, or to points in space.

@@ -19,16 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import diagonal, lattice, nearest
-from mexpress.models import files
 from mexpress.models.base import Model
-
-__all__ = ["Warp"]
 
 _SAMPLES = 1000
 """Points of the domain that decide what is usual there and start the inverse."""
 
 
-@files.storable
 @dataclass(frozen=True, eq=False, repr=False)
 class Warp(Model):
     """A map from points of a source image to points of a target image.

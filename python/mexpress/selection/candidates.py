@@ -29,18 +29,9 @@ from mexpress.models import Basis, CardinalBasis, Design, ModelT, NestedBasis
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
 from mexpress.selection.data import Data
-from mexpress.selection.selection import Selection, selection_from_sweep
+from mexpress.selection.selection import Selection
 from mexpress.selection.sweep import Sweep, sweep_designs, sweep_nested
 from mexpress.selection.weights import is_automatic, smoothing_weights, tie_slack
-
-__all__ = [
-    "Candidates",
-    "CriteriaRequest",
-    "checked_counts",
-    "checked_placement",
-    "largest_count",
-    "select",
-]
 
 DEFAULT_CRITERIA = ("FIT", "PRESS", "CMPRESS")
 
@@ -87,102 +78,85 @@ class CriteriaRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidates(Generic[ModelT]):
-    """The models that a selection tries.
-
-    Attributes
-    ----------
-    lifting : type of Lifting
-        The functions.
-    counts : list of int
-        Wished numbers of control points, increasing.
-    weights : (w,) array
-        Weights of the bending energy, increasing.
-    ordered : (l, 2) array or None
-        Control points of thin-plate splines, of which every count takes the first; None if every count has its own.
-    design : callable
-        The design over a basis.
-    """
-
-    lifting: type[Lifting]
-    counts: list[int]
-    weights: Floats
-    ordered: Floats | None
-    design: Callable[[Basis], Design[ModelT]]
-
-    def sweep(self, request: CriteriaRequest, label: str | None) -> tuple[str, Sweep[ModelT]]:
-        """Judge them all, under a label if progress is shown; with the name of the criterion that selects."""
-        if self.ordered is not None and len(self.counts) > _FEW:
-            name, scorer = request.scorer(nested=True)
-            rounds = len(self.weights) * steps(len(request.data.points))
-            with bar(rounds, label) if label else nullcontext(lambda: None) as on_step:
-                design, counts = self.design(NestedBasis(self.ordered)), np.array(self.counts)
-                return name, sweep_nested(design, counts, self.weights, scorer, request.threads, on_step)
-        name, scorer = request.scorer(nested=False)
-        liftings = self._liftings(request)
-        with bar(len(liftings) * len(self.weights), label) if label else nullcontext(lambda: None) as on_step:
-            designs = (self.design(CardinalBasis(lifting)) for lifting in liftings)
-            return name, sweep_designs(designs, self.weights, scorer, request.threads, on_step)
-
-    def _liftings(self, request: CriteriaRequest) -> list[Lifting]:
-        """Liftings of different, increasing numbers of control points."""
-        if self.ordered is not None:
-            return [self.lifting(self.ordered[:count]) for count in self.counts]
-        where, seed, threads = request.data.domain, request.seed, request.threads
-        placed = (self.lifting.place(where, count, seed, threads) for count in self.counts)
-        by_count = {len(control_points): control_points for control_points in placed}
-        return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
-
-
-def select(
-    request: CriteriaRequest,
-    design: Callable[[Basis], Design[ModelT]],
-    lifting: type[Lifting],
-    counts: Integers | None,
-    largest: int,
-    order: Callable[[int], Integers] | None,
-    smoothing: float | ArrayLike | str,
-    label: str | None,
-) -> tuple[Selection, Sweep[ModelT], Floats | None]:
-    """Judge all candidates and let the criterion select: what `select_warp` and `select_surface` are doors to.
+    """The models that a selection tries, each a number of control points and a weight of the bending energy.
 
     Parameters
     ----------
-    request : CriteriaRequest
-        How the candidates are judged, and on which data.
-    design : callable
-        The design over a basis.
     lifting : type of Lifting
         The functions.
+    design : callable
+        The design over a basis.
     counts : int array or None
-        Numbers of control points that are wished; all up to the largest if None, and with an automatic weight the
-        fewest and the most.
+        Numbers of control points that are wished, increasing; all up to the largest if None, and with an automatic
+        weight the fewest and the most.
     largest : int
         The most control points if none are wished.
     order : callable or None
-        The data that become control points, at most so many, of which every count takes the first; None if every
-        count has control points of its own.
+        The data that become control points of thin-plate splines, at most so many, of which every count takes the
+        first; None if every count has control points of its own.
     smoothing : float, list of float, or "auto"
         Weights of the bending energy.
-    label : str or None
-        Of the progress that is shown.
-
-    Returns
-    -------
-    selection, sweep, ordered
-        What the criteria say, what they judged, and the control points in their order if they have one.
     """
-    data, automatic = request.data, is_automatic(smoothing)
-    tried = lifting.counts(data.domain.corners, largest) if counts is None else counts.tolist()
-    ordered = None
-    if order is not None:
-        ordered = data.points[order(tried[-1])]
-        tried = sorted({min(count, len(ordered)) for count in tried})
-    if automatic and counts is None:
-        tried = sorted({tried[0], tried[-1]})
-    n = len(data.points)
-    weights = smoothing_weights(smoothing, n, data.domain.area, tried[-1])
-    name, sweep = Candidates(lifting, tried, weights, ordered, design).sweep(request, label)
-    return selection_from_sweep(name, sweep, tie_slack(smoothing, n)), sweep, ordered
+
+    lifting: type[Lifting]
+    design: Callable[[Basis], Design[ModelT]]
+    counts: Integers | None
+    largest: int
+    order: Callable[[int], Integers] | None
+    smoothing: float | ArrayLike | str
+
+    def select(
+        self, request: CriteriaRequest, label: str | None
+    ) -> tuple[Selection, Sweep[ModelT], Floats | None]:
+        """Judge them all and let the criterion select: `select_warp` and `select_surface` are two doors to this.
+
+        Parameters
+        ----------
+        request : CriteriaRequest
+            How they are judged, and on which data.
+        label : str or None
+            Of the progress that is shown.
+
+        Returns
+        -------
+        selection, sweep, ordered
+            What the criteria say, what they judged, and the control points in their order if they have one.
+        """
+        data, automatic = request.data, is_automatic(self.smoothing)
+        tried = (
+            self.lifting.counts(data.domain.corners, self.largest)
+            if self.counts is None
+            else self.counts.tolist()
+        )
+        ordered = None
+        if self.order is not None:
+            ordered = data.points[self.order(tried[-1])]
+            tried = sorted({min(count, len(ordered)) for count in tried})
+        if automatic and self.counts is None:
+            tried = sorted({tried[0], tried[-1]})
+        n = len(data.points)
+        weights = smoothing_weights(self.smoothing, n, data.domain.area, tried[-1])
+        nested = ordered is not None and len(tried) > _FEW
+        name, scorer = request.scorer(nested)
+        liftings = [] if nested else self._liftings(request, tried, ordered)
+        rounds = steps(n) if nested else len(liftings)
+        with bar(rounds * len(weights), label) if label else nullcontext(lambda: None) as on_step:
+            if ordered is not None and nested:
+                design = self.design(NestedBasis(ordered))
+                sweep = sweep_nested(design, np.array(tried), weights, scorer, request.threads, on_step)
+            else:
+                designs = (self.design(CardinalBasis(lifting)) for lifting in liftings)
+                sweep = sweep_designs(designs, weights, scorer, request.threads, on_step)
+        return sweep.selection(name, tie_slack(self.smoothing, n)), sweep, ordered
+
+    def _liftings(self, request: CriteriaRequest, counts: list[int], ordered: Floats | None) -> list[Lifting]:
+        """Liftings of different, increasing numbers of control points."""
+        if ordered is not None:
+            return [self.lifting(ordered[:count]) for count in counts]
+        where, seed, threads = request.data.domain, request.seed, request.threads
+        placed = (self.lifting.place(where, count, seed, threads) for count in counts)
+        by_count = {len(control_points): control_points for control_points in placed}
+        return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
 
 
 def largest_count(n: int) -> int:

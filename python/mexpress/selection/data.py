@@ -25,8 +25,6 @@ from mexpress._validation import Floats
 from mexpress.geometry import Region, diagonal, hull
 from mexpress.models import Basis, Design, Surface, Warp, fractional_design, linear_design
 
-__all__ = ["Data", "Matches", "Samples"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Matches:

@@ -15,11 +15,8 @@ from mexpress.liftings import make_lifting
 from mexpress.models import CardinalBasis, Design, ModelT, Surface, Warp
 from mexpress.selection.candidates import CriteriaRequest, default_criterion
 from mexpress.selection.data import Matches, Samples
-from mexpress.selection.selection import selection_from_sweep
 from mexpress.selection.sweep import sweep_designs
 from mexpress.selection.weights import smoothing_weights, tie_slack
-
-__all__ = ["fit_surface", "fit_warp"]
 
 
 def fit_warp(
@@ -150,10 +147,11 @@ def _fit(
     weights = smoothing_weights(smoothing, n, request.data.domain.area, design.count)
     name, scorer = request.scorer(nested=False) if len(weights) > 1 else ("", Scorer({}, {}))
     sweep = sweep_designs([design], weights, scorer, request.threads, lambda: None)
-    place = selection_from_sweep(name, sweep, tie_slack(smoothing, n)).place if name else (0, 0)
+    place = sweep.selection(name, tie_slack(smoothing, n)).place if name else (0, 0)
     model = sweep.model(*place)
     if model is None:
         rule = f"The {data} must determine the {what}, so take fewer control points, or smoothing above 0."
-        given = f"{design.count}, hence {sweep.unknowns[0]} unknowns, and {n} {data} of rank {sweep.ranks[0]} in all"
+        unknowns, rank = design.A.shape[1], design.fit(threads=request.threads).rank
+        given = f"{design.count}, hence {unknowns} unknowns, and {n} {data} of rank {rank} in all"
         check.refuse("control_points", rule, given)
     return model

@@ -37,8 +37,6 @@ from mexpress.suspicion import Suspects, suspects
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FittedSelection"]
-
 _CRITERION = "ER10"
 
 _STIFFNESSES = 10.0 ** np.arange(-6, 1)
@@ -54,6 +52,7 @@ class Trials(Generic[ModelT]):
     threads: int | None
 
     def best(self, weights: Floats) -> tuple[LeastSquares, Design[ModelT], float]:
+        """Return the fit of the best model with these weights, its design and its weight of the bending energy."""
         fits = [design.weighted(weights).fit(stiffness, self.threads) for design, stiffness in self.pairs]
         scores = [self.scorer.scores(fit, self.threads)[_CRITERION].value for fit in fits]
         if np.isnan(scores).all():

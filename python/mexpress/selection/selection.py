@@ -18,13 +18,9 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
-from mexpress.models import ModelT
-from mexpress.selection.sweep import Sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = ["Selection", "selection_from_sweep"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -199,27 +195,3 @@ class Selection:
         from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
 
         return plot_selection(self, path)
-
-
-def selection_from_sweep(criterion: str, sweep: Sweep[ModelT], slack: float) -> Selection:
-    """Return what the scores of a sweep say."""
-    undefined = {
-        name: {
-            count: data
-            for count, row, data in zip(sweep.counts.tolist(), scores, sweep.undefined[name], strict=True)
-            if data.size and np.isnan(row).all()
-        }
-        for name, scores in sweep.scores.items()
-    }
-    lack = sweep.unknowns - sweep.ranks
-    smoothed = lack > 0 if sweep.weights[-1] > 0 else np.zeros(len(lack), dtype=np.bool_)
-    return Selection(
-        criterion,
-        sweep.counts,
-        sweep.scores,
-        {name: by_count for name, by_count in undefined.items() if by_count},
-        weights=sweep.weights,
-        parameters=sweep.parameters,
-        open=dict(zip(sweep.counts[smoothed].tolist(), lack[smoothed].tolist(), strict=True)),
-        slack=slack,
-    )

@@ -23,12 +23,10 @@ from mexpress.liftings import lifting_named
 from mexpress.models import CardinalBasis, Design, Surface
 from mexpress.placement import farthest_order, residual_order
 from mexpress.schemes import Scheme
-from mexpress.selection.candidates import CriteriaRequest, checked_placement, default_criterion, select
+from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement, default_criterion
 from mexpress.selection.data import Samples
 from mexpress.selection.fitted import FittedSelection
 from mexpress.selection.weights import is_automatic, largest_automatic_count
-
-__all__ = ["SurfaceSelection", "select_surface"]
 
 MOST = 175
 """Control points, as in section 5 of the paper."""
@@ -182,16 +180,9 @@ def select_surface(
         ),
         "nested": partial(farthest_order, data.points),
     }
-    selection, sweep, ordered = select(
-        CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads),
-        data.design,
-        functions,
-        None,
-        min(most, n),
-        orders.get(spread),
-        smoothing,
-        "surface" if progress else None,
-    )
+    candidates = Candidates(functions, data.design, None, min(most, n), orders.get(spread), smoothing)
+    request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads)
+    selection, sweep, ordered = candidates.select(request, "surface" if progress else None)
     surface = sweep.model(*selection.place)
     assert surface is not None  # a score means that it is determined
     return SurfaceSelection(

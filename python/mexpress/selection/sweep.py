@@ -14,7 +14,7 @@ Examples
 >>> points = np.random.default_rng(0).uniform(size=(30, 2))
 >>> data = Samples.of(points, points[:, 0] ** 2)
 >>> designs = [data.design(CardinalBasis(ThinPlateSpline(points[:k]))) for k in (4, 9)]
->>> sweep_designs(designs, np.zeros(1), Scorer.of(["FIT"], points), None, lambda: None).scores["FIT"].round(3)
+>>> sweep_designs(designs, np.zeros(1), Scorer.of(["FIT"], points), None, lambda: None).maps["FIT"].round(3)
 array([[0.049],
        [0.028]])
 """
@@ -25,7 +25,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain, repeat
-from typing import Generic
+from typing import Generic, Self
 
 import numpy as np
 
@@ -34,75 +34,91 @@ from mexpress.criteria import Score, Scorer
 from mexpress.leastsquares.nested import Nested
 from mexpress.leastsquares.penalty_path import FittedAt, PenaltyPath
 from mexpress.models import Design, ModelT
-
-__all__ = ["Sweep", "sweep_designs", "sweep_nested"]
+from mexpress.selection.selection import Selection
 
 OnStep = Callable[[], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Generic[ModelT]):
-    """What a sweep over k counts and w weights says.
+    """What a sweep over k counts and w weights says: all of a `Selection` but who selects, and the models.
 
     Attributes
     ----------
-    counts : (k,) int64 array
-        Numbers of control points, increasing.
-    weights : (w,) array
-        Weights of the bending energy, increasing.
-    scores : dict of str to (k, w) array
-        By criterion, in the responses' unit; NaN where undefined.
-    undefined : dict of str to list of int64 array
-        By criterion and count, the data that cannot be predicted at the largest weight.
-    parameters : (k, w) array
-        Effective numbers of parameters, trace(H) times the number of responses; NaN where the model is not determined.
-    ranks : (k,) int64 array
-        How many of the unknowns the data alone determine, without the bending energy.
-    unknowns : (k,) int64 array
-        How many there are.
+    counts, maps, undefined, weights, parameters, open
+        See `Selection`.
     model : callable
         The model of a count and a weight, by their positions, or None if it is not determined.
     """
 
     counts: Integers
+    maps: dict[str, Floats]
+    undefined: dict[str, dict[int, Integers]]
     weights: Floats
-    scores: dict[str, Floats]
-    undefined: dict[str, list[Integers]]
     parameters: Floats
-    ranks: Integers
-    unknowns: Integers
+    open: dict[int, int]
     model: Callable[[int, int], ModelT | None]
+
+    @classmethod
+    def of(
+        cls,
+        counts: Integers,
+        weights: Floats,
+        scores: list[dict[str, list[Score]]],
+        parameters: Floats,
+        lacks: Integers,
+        model: Callable[[int, int], ModelT | None],
+    ) -> Self:
+        """Arrange scores, by weight, criterion and count, and how many unknowns the data alone leave open, by count."""
+        maps = {name: np.array([[s.value for s in by[name]] for by in scores]).T for name in scores[0]}
+        undefined = {
+            name: {
+                count: score.undefined
+                for count, row, score in zip(counts.tolist(), maps[name], scores[-1][name], strict=True)
+                if score.undefined.size and np.isnan(row).all()
+            }
+            for name in maps
+        }
+        smoothed = lacks > 0 if weights[-1] > 0 else np.zeros(len(lacks), dtype=np.bool_)
+        return cls(
+            counts,
+            maps,
+            {name: data for name, data in undefined.items() if data},
+            weights,
+            parameters,
+            dict(zip(counts[smoothed].tolist(), lacks[smoothed].tolist(), strict=True)),
+            model,
+        )
+
+    def selection(self, criterion: str, slack: float) -> Selection:
+        """Let a criterion select."""
+        shared = {name: value for name, value in vars(self).items() if name != "model"}
+        return Selection(criterion, **shared, slack=slack)
 
 
 def sweep_designs(
     designs: Iterable[Design[ModelT]], weights: Floats, scorer: Scorer, threads: int | None, on_step: OnStep
 ) -> Sweep[ModelT]:
     """Judge designs of increasing counts; `on_step` is called after each weight."""
-    sizes: list[tuple[int, int, int]] = []
+    counts, lacks = [], []
     parameters: list[list[float]] = []
-    scores: list[list[dict[str, Score]]] = []
+    scores: list[dict[str, list[Score]]] = [{name: [] for name in scorer.criteria} for _ in weights]
     models: list[list[ModelT | None]] = []
     for design in designs:
         fits, rank = _fits(design, weights, threads)
-        sizes.append((design.count, rank, design.A.shape[1]))
-        for rows in (parameters, scores, models):
-            rows.append([])
-        for fit, weight in zip(fits, weights.tolist(), strict=True):
+        counts.append(design.count)
+        lacks.append(design.A.shape[1] - rank)
+        parameters.append([])
+        models.append([])
+        for by_name, fit, weight in zip(scores, fits, weights.tolist(), strict=True):
             x = fit.coefficients
             parameters[-1].append(_parameters(fit))
-            scores[-1].append(scorer.scores(fit.model, threads))
             models[-1].append(None if x is None else design.model(x, smoothing=weight))
+            for name, score in scorer.scores(fit.model, threads).items():
+                by_name[name].append(score)
             on_step()
-    counts, ranks, unknowns = np.array(sizes, dtype=np.int64).T
-    return Sweep(
-        counts,
-        weights,
-        {name: np.array([[row[name].value for row in rows] for rows in scores]) for name in scorer.criteria},
-        {name: [rows[-1][name].undefined for rows in scores] for name in scorer.criteria},
-        np.array(parameters),
-        ranks,
-        unknowns,
-        lambda k, w: models[k][w],
+    return Sweep.of(
+        np.array(counts), weights, scores, np.array(parameters), np.array(lacks), lambda k, w: models[k][w]
     )
 
 
@@ -120,31 +136,27 @@ def sweep_nested(
     """
     sizes = np.array([design.columns(count) for count in counts.tolist()])
     bending = design.bending()
-    shape = len(counts), len(weights)
-    scores = {name: np.empty(shape) for name in scorer.criteria}
-    undefined: dict[str, list[Integers]] = {}
-    parameters = np.full(shape, math.nan)
-    solutions: list[list[Floats | None]] = [[] for _ in sizes]
+    parameters = np.full((len(counts), len(weights)), math.nan)
+    scores, solutions = [], []
     ranks: Integers | None = None
     for w, weight in enumerate(weights.tolist()):
         nested = _nested(design, bending, weight, threads)
-        for name, curve in scorer.curves(nested, sizes, threads, on_step).items():
-            scores[name][:, w] = [score.value for score in curve]
-            undefined[name] = [score.undefined for score in curve]
+        scores.append(scorer.curves(nested, sizes, threads, on_step))
         fits = nested.fits(sizes, threads)
         full = fits.rank == sizes
         parameters[full, w] = nested.n_responses * fits.parameters[full]
-        for k, size in enumerate(sizes.tolist()):
-            solutions[k].append(nested.coefficients(size) if full[k] else None)
+        solutions.append(
+            [nested.coefficients(int(size)) if ok else None for size, ok in zip(sizes, full, strict=True)]
+        )
         ranks = fits.rank if weight == 0 else ranks
     if ranks is None:
         ranks = _nested(design, bending, 0.0, threads).fits(sizes, threads).rank
 
     def model(k: int, w: int) -> ModelT | None:
-        x = solutions[k][w]
+        x = solutions[w][k]
         return None if x is None else design.model(x, int(counts[k]), float(weights[w]))
 
-    return Sweep(counts, weights, scores, undefined, parameters, ranks, sizes, model)
+    return Sweep.of(counts, weights, scores, parameters, sizes - ranks, model)
 
 
 def _nested(design: Design[ModelT], bending: Floats, weight: float, threads: int | None) -> Nested:

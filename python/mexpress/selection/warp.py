@@ -24,18 +24,16 @@ from mexpress.models import CardinalBasis, Design, Warp
 from mexpress.placement import farthest_order
 from mexpress.schemes import Scheme
 from mexpress.selection.candidates import (
+    Candidates,
     CriteriaRequest,
     checked_counts,
     checked_placement,
     default_criterion,
     largest_count,
-    select,
 )
 from mexpress.selection.data import Matches
 from mexpress.selection.fitted import FittedSelection
 from mexpress.selection.weights import is_automatic, largest_automatic_count, several_weights
-
-__all__ = ["WarpSelection", "select_warp"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,17 +187,16 @@ def select_warp(
     functions = lifting_named(lifting)
     usual = "nested" if several_weights(smoothing) else "lloyd"
     spread = checked_placement(placement, functions, ("lloyd", "nested"), usual)
-    nested = spread == "nested"
-    selection, sweep, _ = select(
-        CriteriaRequest(default_criterion(criterion, smoothing), criteria, matches, seed, threads),
-        partial(matches.design, fractional=fractional, over_data=_over_data(spread)),
+    candidates = Candidates(
         functions,
+        partial(matches.design, fractional=fractional, over_data=_over_data(spread)),
         wished,
         largest_automatic_count(n, 3 if fractional else 1) if automatic else largest_count(n),
-        partial(farthest_order, matches.source) if nested else None,
+        partial(farthest_order, matches.source) if spread == "nested" else None,
         smoothing,
-        "warp" if progress else None,
     )
+    request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, matches, seed, threads)
+    selection, sweep, _ = candidates.select(request, "warp" if progress else None)
     warps = {}
     for k, count in enumerate(selection.counts.tolist()):
         w = selection.best_weight(k)

@@ -15,15 +15,6 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = [
-    "AUTO",
-    "is_automatic",
-    "largest_automatic_count",
-    "several_weights",
-    "smoothing_weights",
-    "tie_slack",
-]
-
 AUTO = "auto"
 
 _WEIGHTS = 20
