@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-rest test-all nightly check bench docs clean
+.PHONY: help demo test test-rest test-all nightly check hooks bench rooms docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -45,7 +45,6 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
 
-.PHONY: hooks rooms
 hooks: $(VENV)/dev ## Check format, lint and types at every commit from now on
 	$(BIN)/pre-commit install
 
