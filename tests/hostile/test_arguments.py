@@ -50,7 +50,7 @@ COVERED = {
     "fit_warp",
     "load",
     "map_problems",  # test_batch.py
-    "read_cloud",  # test_surface_arguments.py and test_clouds.py
+    "read_cloud",  # test_surface_arguments.py and test_io_clouds.py
     "schemes",
     "select_surface",
     "select_warp",

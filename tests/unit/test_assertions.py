@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).parents[1]
-HELPERS = [FOLDER / "inputs.py", FOLDER / "refits.py"]
+HELPERS = sorted(FOLDER.glob("*.py"))
 
 
 def functions(file):

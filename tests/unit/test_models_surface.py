@@ -6,8 +6,8 @@ import numpy as np
 import plyfile
 import pytest
 from designs import nested_surface_design
+from test_io_meshes import read_obj
 from test_liftings import bordered, kernel, scattered
-from test_meshes import read_obj
 
 import mexpress as mx
 from mexpress.liftings import ThinPlateSpline
