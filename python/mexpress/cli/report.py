@@ -148,11 +148,11 @@ def _aligned(cells: list[list[str]], width: int | None, leading: int) -> list[st
 def _shown_rows(number: int, selected: list[int], most: int) -> list[int]:
     if number <= most:
         return list(range(number))
-    kept = {0, number - 1, *selected}
+    rows = {0, number - 1, *selected}
     # Nearly geometric: criteria change most where models are small.
-    for row in np.geomspace(1, number, max(most - len(kept), 0) + 2).round().astype(int) - 1:
-        kept.add(int(row))
-    return sorted(kept)
+    for row in np.geomspace(1, number, max(most - len(rows), 0) + 2).round().astype(int) - 1:
+        rows.add(int(row))
+    return sorted(rows)
 
 
 def _writers(curves: Mapping[str, Floats]) -> dict[str, Callable[[float], str]]:
@@ -184,10 +184,6 @@ def write_curves(path: PathLike, selection: Selection) -> None:
         Name of the file.
     selection : Selection
         Result of a sweep.
-
-    Examples
-    --------
-    See `mexpress.cli.main`.
     """
     several, shape = len(selection.weights) > 1, (len(selection.counts), len(selection.weights))
     head: dict[str, NDArray[Any]] = {"count": np.repeat(selection.counts, shape[1])}
@@ -285,10 +281,6 @@ def write_summary(path: PathLike, content: Mapping[str, Any]) -> None:
         Name of the file.
     content : mapping
         What `summary` returns, and more. NaN and infinities, which JSON does not know, become null.
-
-    Examples
-    --------
-    See `mexpress.cli.main`.
     """
     plain = _plain(content)
     lines = (f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in plain.items())

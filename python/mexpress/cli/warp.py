@@ -87,12 +87,12 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _images(arguments: argparse.Namespace) -> list[NDArray[Any]]:
     """Read both images, if both are given: before the long work, so that a wrong name costs no time."""
-    given = [arguments.source_image, arguments.target_image]
-    if given == [None, None]:
+    paths = [arguments.source_image, arguments.target_image]
+    if paths == [None, None]:
         return []
-    if None in given:
+    if None in paths:
         raise common.UsageError("--source-image and --target-image belong together")
-    return [read_image(path) for path in given]
+    return [read_image(path) for path in paths]
 
 
 def _health(selection: WarpSelection) -> dict[str, Any]:

@@ -104,8 +104,8 @@ def _existing(data: Path | None, kind: str) -> Path | None:
     if not data.exists():
         raise FileNotFoundError(2, "No such file or directory", str(data))
     if (kind == "DIR") != data.is_dir():
-        wanted, found = ("a directory", "a file") if kind == "DIR" else ("a file", "a directory")
-        raise common.UsageError(f"{kind} must be {wanted}, but {data} is {found}")
+        wanted, actual = ("a directory", "a file") if kind == "DIR" else ("a file", "a directory")
+        raise common.UsageError(f"{kind} must be {wanted}, but {data} is {actual}")
     return data
 
 

@@ -151,14 +151,14 @@ def _arrival(name: str, sweep: _Sweep) -> dict[str, Callable[[Path], object]]:
 def _alike(fits: Sequence[PanelFit]) -> str:
     """Return which surfaces share a panel of the plot."""
     groups = [group for group in grouped(fits) if len(group) > 1]
-    told = (
+    sentences = (
         f"\nThe one with {group[0].count} is drawn for "
         + ", ".join(f"{name} {fit.count}" for fit in group for name in fit.names)
         + "."
         for group in groups
     )
     rule = f"\n\nSurfaces whose numbers of control points differ by less than {ALIKE:.0%} share a panel of the plot."
-    return "".join([rule, *told]) if groups else ""
+    return "".join([rule, *sentences]) if groups else ""
 
 
 def _report(sweep: _Sweep, data: Path | None) -> str:
@@ -186,8 +186,8 @@ def _line(sweep: _Sweep, name: str, count: int | None, known: bool) -> str:
         return f"{name:>10}{'-':>8}  undefined at every number"
     fit, truth = sweep.at(count)
     score = sweep.shown.curves[name][count - sweep.selection.counts[0]]
-    own = "" if name in criteria.UNITLESS else f"{score:.4g}"
-    return f"{name:>10}{count:8}{own:>11}{fit:10.4g}" + (f"{truth:11.4g}" if known else "")
+    scored = "" if name in criteria.UNITLESS else f"{score:.4g}"
+    return f"{name:>10}{count:8}{scored:>11}{fit:10.4g}" + (f"{truth:11.4g}" if known else "")
 
 
 def _lost(selection: SurfaceSelection) -> str:

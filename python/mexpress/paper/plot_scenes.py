@@ -110,13 +110,13 @@ def _chosen(judged: Trial) -> dict[str, int]:
 
 def _contours(judged: Trial) -> dict[str, Rings]:
     """Return the contour that each criterion's choice transfers, where it does."""
-    found = {}
+    contours = {}
     for name, k in _chosen(judged).items():
         warp = judged.selection.warps.get(int(judged.selection.counts[k]))
         rings = None if warp is None else transferred(warp, judged.problem.source_contour)
         if rings:
-            found[name] = rings
-    return found
+            contours[name] = rings
+    return contours
 
 
 def _draw_source(axes: Axes, judged: Trial, image: NDArray[Any] | None) -> None:

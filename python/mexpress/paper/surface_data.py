@@ -59,10 +59,6 @@ class Subject:
         Where the truth is known; k is 0 if it is nowhere.
     true_values : (k,) or (k, d) array
         The truth, without noise.
-
-    Examples
-    --------
-    See the module.
     """
 
     name: str
@@ -140,10 +136,6 @@ def simulated_depth(number: int, seed: int) -> Subject:
     -------
     Subject
         The truth is known at every pixel, in the holes too.
-
-    Examples
-    --------
-    See the module.
     """
     number = check.count(number, "number", 4)
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
@@ -190,10 +182,6 @@ def simulated_embedding(number: int, seed: int) -> Subject:
     -------
     Subject
         The truth is known on a regular grid.
-
-    Examples
-    --------
-    See the module.
     """
     number = check.count(number, "number", 4)
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(9,)))

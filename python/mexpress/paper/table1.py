@@ -130,8 +130,8 @@ def _computed(options: Options) -> dict[int, Curves]:
             left = {n: strides[n] for n in sizes if (*place, n) not in records}
             todo += [(configuration, left)] if left else []
 
-        def add(_: int, found: list[list[Row]]) -> None:
-            for rows in found:
+        def add(_: int, tasks: list[list[Row]]) -> None:
+            for rows in tasks:
                 records.add(rows)
 
         map_problems(
@@ -170,8 +170,8 @@ def _table1(options: Options) -> Outcome:
         table(comparisons),
         "",
         *(
-            f"{found['within']} of {found['cells']} cells of {what} are within one standard deviation."
-            for what, found in agreement.items()
+            f"{cells['within']} of {cells['cells']} cells of {what} are within one standard deviation."
+            for what, cells in agreement.items()
         ),
         "\nThe paper's claims:",
         *(f"* {claim.text}" for claim in judged),

@@ -31,10 +31,6 @@ class Curves:
         Numbers of control points, increasing.
     values : dict of str to (c, k) array
         Of FIT, the criteria and TEST: a row for each problem, in pixels, NaN where undefined.
-
-    Examples
-    --------
-    See the module.
     """
 
     counts: Integers
@@ -86,12 +82,7 @@ class Curves:
         return None if np.isnan(mean).all() else int(self.counts[np.nanargmin(mean)])
 
     def cell(self, name: str) -> Cell:
-        """Return mean and standard deviation of what a criterion selects, over the problems; NaN without any.
-
-        Examples
-        --------
-        See the module.
-        """
+        """Return mean and standard deviation of what a criterion selects, over the problems; NaN without any."""
         count, fit = self.selected(name)
         if not count.size:
             return Cell(*[math.nan] * 4)

@@ -22,12 +22,7 @@ __all__ = ["Claim", "claims"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim, what the run found on it, and whether it holds.
-
-    Examples
-    --------
-    See the module.
-    """
+    """One claim, what the run found on it, and whether it holds."""
 
     claim: str
     evidence: str
@@ -91,13 +86,13 @@ def _folds(counts: Counts) -> Claim:
 
 
 def _resist(counts: Counts) -> Claim:
-    found = {name: counts[name][500] for name in LOCAL}
-    few = all(found[name] < 0.5 * counts["CMPRESS"][500] for name in ("ER10", "NN05PCT", "NN10PCT"))
+    numbers = {name: counts[name][500] for name in LOCAL}
+    few = all(numbers[name] < 0.5 * counts["CMPRESS"][500] for name in ("ER10", "NN05PCT", "NN10PCT"))
     return Claim(
         "ER05, ER10, NN05PCT and NN10PCT resist: they select fewer at n = 500, the last three less than half",
-        ", ".join(f"{name} {count:.1f}" for name, count in found.items())
+        ", ".join(f"{name} {count:.1f}" for name, count in numbers.items())
         + f" beside CMPRESS {counts['CMPRESS'][500]:.1f}",
-        bool(few and found["ER05"] < 0.9 * counts["CMPRESS"][500]),
+        bool(few and numbers["ER05"] < 0.9 * counts["CMPRESS"][500]),
     )
 
 

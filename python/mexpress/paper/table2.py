@@ -79,28 +79,30 @@ def _table2(options: Options) -> Outcome:
     made = sorted(
         choices(_rows(options, scenes)), key=lambda choice: (order[choice.scene], choice.form, choice.n)
     )
-    found = cells(made)
-    seen = findings(found, kinds, projections)
+    table_cells = cells(made)
+    claims = findings(table_cells, kinds, projections)
     with (options.out / "table2.csv").open("w", encoding="utf-8", newline="\n") as file:
         names = [field.name for field in fields(Cell)]
-        write_rows(file, names, ([getattr(cell, name) for name in names] for cell in found))
-    parts = [_explained(found), losses(made, kinds, SHOWN), "\n".join(claim.text for claim in seen)]
+        write_rows(file, names, ([getattr(cell, name) for name in names] for cell in table_cells))
+    parts = [_explained(table_cells), losses(made, kinds, SHOWN), "\n".join(claim.text for claim in claims)]
     summary = {
-        "cells": [asdict(cell) for cell in found],
-        "findings": [asdict(finding) for finding in seen],
+        "cells": [asdict(cell) for cell in table_cells],
+        "findings": [asdict(finding) for finding in claims],
     }
     return Outcome(
         "\n\n".join(part for part in parts if part),
         summary,
         ["table2_rows.csv", "table2.csv"],
-        {"table2.png": lambda path: plot_choices(found, SHOWN, path)},
+        {"table2.png": lambda path: plot_choices(table_cells, SHOWN, path)},
     )
 
 
-def _explained(found: Sequence[Cell]) -> str:
+def _explained(table_cells: Sequence[Cell]) -> str:
     """The table, and what its signs mean."""
-    notes = [table(found, SHOWN) + "\n", NOTES]
-    return "\n".join([*notes, *([NO_CONTOUR] if any(math.isnan(cell.jaccard) for cell in found) else [])])
+    notes = [table(table_cells, SHOWN) + "\n", NOTES]
+    return "\n".join(
+        [*notes, *([NO_CONTOUR] if any(math.isnan(cell.jaccard) for cell in table_cells) else [])]
+    )
 
 
 def _scenes(options: Options) -> list[Scene]:
@@ -178,29 +180,31 @@ def _figure(name: str, kind: str, options: Options) -> Outcome:
     }
     _write_curves(options.out / f"{name}.csv", trials)
     images = scene.images if isinstance(scene, Recorded) else None
-    found = cells(choice for form, judged in trials.items() for choice in _chosen(scene.name, form, judged))
-    summary = {"scene": scene.name, "n": n, "cells": [asdict(cell) for cell in found]}
+    table_cells = cells(
+        choice for form, judged in trials.items() for choice in _chosen(scene.name, form, judged)
+    )
+    summary = {"scene": scene.name, "n": n, "cells": [asdict(cell) for cell in table_cells]}
     plots = {f"{name}.png": lambda path: plot_scene(trials, scene.name, images, path)}
-    return Outcome(_explained(found), summary, [f"{name}.csv"], plots)
+    return Outcome(_explained(table_cells), summary, [f"{name}.csv"], plots)
 
 
 def _scene(kind: str, options: Options) -> Scene:
     """The scene of a figure: simulated in perspective, or the reader's one of the kind that has most matches."""
     if options.data is None:
         return Simulated(kind, "perspective")
-    found = [scene for scene in read_scenes(options.data) if scene.kind == kind]
-    if not found:
+    fitting = [scene for scene in read_scenes(options.data) if scene.kind == kind]
+    if not fitting:
         rule = f"The directory must hold a scene whose kind is {kind}, as scenes.json has it."
         check.refuse("data", rule, str(options.data))
-    return max(found, key=lambda scene: len(scene.source))
+    return max(fitting, key=lambda scene: len(scene.source))
 
 
 def _chosen(scene: str, form: str, judged: Trial) -> list[Choice]:
     """Return what the criteria choose in one trial."""
     counts = judged.selection.counts
-    told = {"scene": scene, "form": form, "n": len(judged.problem.source), "draw": 0}
-    same = {name: np.array([value] * len(counts)) for name, value in told.items()}
-    return list(choices({**same, "count": counts, **judged.selection.curves, **judged.measures()}))
+    same = {"scene": scene, "form": form, "n": len(judged.problem.source), "draw": 0}
+    columns = {name: np.array([value] * len(counts)) for name, value in same.items()}
+    return list(choices({**columns, "count": counts, **judged.selection.curves, **judged.measures()}))
 
 
 def _write_curves(path: Path, trials: Mapping[str, Trial]) -> None:

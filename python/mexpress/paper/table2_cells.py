@@ -120,9 +120,9 @@ def choices(rows: Table) -> Iterator[Choice]:
     Examples
     --------
     >>> names = np.array(["still"] * 2)
-    >>> told = {"scene": names, "form": names, "n": np.array([51, 51]), "draw": np.array([0, 0])}
+    >>> same = {"scene": names, "form": names, "n": np.array([51, 51]), "draw": np.array([0, 0])}
     >>> scores = {name: np.array([2.0, 1.0]) for name in (*CRITERIA, "JACCARD", "TRANSFER", "LOST")}
-    >>> made = list(choices({**told, "count": np.array([3, 4]), **scores}))
+    >>> made = list(choices({**same, "count": np.array([3, 4]), **scores}))
     >>> [(choice.criterion, choice.count) for choice in made][-2:]
     [('NN10PCT', 4), ('BEST', 3)]
     """
@@ -146,12 +146,7 @@ def _badness(jaccard: Floats, transfer: Floats) -> Floats:
 
 
 def cells(made: Iterable[Choice]) -> list[Cell]:
-    """Return the cells of a table, in the order in which their first choices come.
-
-    Examples
-    --------
-    See the module.
-    """
+    """Return the cells of a table, in the order in which their first choices come."""
     groups: dict[tuple[str, str, int, str], list[Choice]] = {}
     for choice in made:
         groups.setdefault((choice.scene, choice.form, choice.n, choice.criterion), []).append(choice)
@@ -180,12 +175,12 @@ def _cell(scene: str, form: str, n: int, criterion: str, group: Sequence[Choice]
     )
 
 
-def table(found: Sequence[Cell], shown: Sequence[str]) -> str:
+def table(table_cells: Sequence[Cell], shown: Sequence[str]) -> str:
     """Return cells as text: a block for each scene and form, a line for each criterion.
 
     Parameters
     ----------
-    found : sequence of Cell
+    table_cells : sequence of Cell
         All cells.
     shown : sequence of str
         Criteria.
@@ -205,7 +200,7 @@ def table(found: Sequence[Cell], shown: Sequence[str]) -> str:
     ER10              3         2.0          0.990
     """
     blocks = []
-    for (scene, form), group in groupby(found, lambda cell: (cell.scene, cell.form)):
+    for (scene, form), group in groupby(table_cells, lambda cell: (cell.scene, cell.form)):
         mine = {(cell.criterion, cell.n): cell for cell in group}
         sizes = sorted({n for _, n in mine})
         third = "transfer" if all(math.isnan(cell.jaccard) for cell in mine.values()) else "Jaccard"

@@ -163,12 +163,12 @@ _STATEMENTS: tuple[tuple[str, Sequence[str], _About, _True, _Other], ...] = (
 )
 
 
-def findings(found: Sequence[Cell], kinds: Mapping[str, str], projections: Mapping[str, str]) -> list[Claim]:
+def findings(cells: Sequence[Cell], kinds: Mapping[str, str], projections: Mapping[str, str]) -> list[Claim]:
     """Return the statements, in how many cells they are true, and whether they hold.
 
     Parameters
     ----------
-    found : sequence of Cell
+    cells : sequence of Cell
         All cells.
     kinds : mapping of str to str
         Every scene's kind.
@@ -179,14 +179,10 @@ def findings(found: Sequence[Cell], kinds: Mapping[str, str], projections: Mappi
     -------
     list of Claim
         Those that are about any of the cells.
-
-    Examples
-    --------
-    See the module.
     """
     table = {
         _Place(c.scene, kinds[c.scene], projections.get(c.scene, ""), c.form, c.n, c.criterion): c
-        for c in found
+        for c in cells
     }
     checked = (
         (statement, _checked(table, criteria, about, true, other))

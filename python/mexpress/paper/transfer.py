@@ -55,10 +55,6 @@ class Trial:
         Where the denominator vanishes on the contour, so that nothing is transferred.
     folded, vanishing : (k,) array
         Share of the region of the matches where the warp folds, and where its denominator vanishes.
-
-    Examples
-    --------
-    See the module.
     """
 
     problem: Problem
@@ -111,10 +107,6 @@ def trial(
     -------
     Trial
         FIT selects, so that no other criterion must be defined.
-
-    Examples
-    --------
-    See the module.
     """
     selection = select_warp(
         problem.source,

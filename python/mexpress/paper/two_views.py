@@ -86,10 +86,6 @@ class Problem:
         Of the source image in pixels.
     target_size : (width, height)
         Of the target image in pixels.
-
-    Examples
-    --------
-    See the module.
     """
 
     source: Floats
@@ -231,12 +227,7 @@ class Recorded:
         return wanted if n < len(self.source) else 1
 
     def draw(self, n: int, seed: int) -> Problem:
-        """Return a problem with n matches drawn at random; the others are unseen, unless a homography is known.
-
-        Examples
-        --------
-        See the class.
-        """
+        """Return a problem with n matches drawn at random; the others are unseen, unless a homography is known."""
         mixed = np.random.default_rng(seed).permutation(len(self.source))
         seen, rest = np.sort(mixed[:n]), np.sort(mixed[n:])
         truth = self.source[rest], self.target[rest]
@@ -249,7 +240,7 @@ class Recorded:
 
 
 def digest(scenes: Sequence[Recorded]) -> str:
-    """Return what tells these scenes from others that give other trials: images and kinds do not count.
+    """Return a fingerprint of everything in scenes that changes the trials: not of images and kinds.
 
     Parameters
     ----------
@@ -273,8 +264,8 @@ def digest(scenes: Sequence[Recorded]) -> str:
         arrays = [scene.source, scene.target, *scene.source_contour, *scene.target_contour]
         arrays += [] if scene.homography is None else [scene.homography]
         rings = len(scene.source_contour), len(scene.target_contour)
-        told = (scene.name, scene.image_size, scene.target_size, rings, [array.shape for array in arrays])
-        parts += [repr(told).encode(), *(array.astype("<f8").tobytes() for array in arrays)]
+        identity = (scene.name, scene.image_size, scene.target_size, rings, [array.shape for array in arrays])
+        parts += [repr(identity).encode(), *(array.astype("<f8").tobytes() for array in arrays)]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
@@ -337,15 +328,15 @@ def _declared(path: Path) -> dict[str, Mapping[str, Any]]:
     except ValueError as error:
         check.refuse("data", "scenes.json must be JSON.", f"{path}: {error}")
     known = {"kind", "image_size", "target_size", "homography"}
-    shaped = isinstance(content, dict) and all(isinstance(told, dict) for told in content.values())
-    if not shaped or any(set(told) - known for told in content.values()):
+    shaped = isinstance(content, dict) and all(isinstance(entry, dict) for entry in content.values())
+    if not shaped or any(set(entry) - known for entry in content.values()):
         rule = f"scenes.json must hold an object for each scene, with any of {', '.join(sorted(known))}."
         check.refuse("data", rule, str(path))
     return dict(content)
 
 
-def _read(path: Path, told: Mapping[str, Any]) -> Recorded:
-    name, kind = path.stem, told.get("kind", "")
+def _read(path: Path, declaration: Mapping[str, Any]) -> Recorded:
+    name, kind = path.stem, declaration.get("kind", "")
     if kind not in ("", *KINDS):
         check.refuse("kind", f"It must be one of {', '.join(KINDS)}.", f"{kind!r} for {name}")
     source, target = read_matches(path)
@@ -357,13 +348,13 @@ def _read(path: Path, told: Mapping[str, Any]) -> Recorded:
         _contour(path, side, mask) for side, mask in zip(("source", "target"), masks, strict=True)
     )
     with _named(f"the scene {name}"):
-        homography = _homography(told.get("homography"), [source, *first])
+        homography = _homography(declaration.get("homography"), [source, *first])
         if first and not second and homography is not None:
             second = tuple(_mapped(homography, ring) for ring in first)
         if bool(first) != bool(second):
             check.refuse("data", "A contour must be given in both images.", "one of them")
         size, target_size = (
-            _size(key, told.get(key), mask, image)
+            _size(key, declaration.get(key), mask, image)
             for key, mask, image in zip(("image_size", "target_size"), masks, images, strict=True)
         )
         if target_size is None and second:
@@ -388,13 +379,13 @@ def _named(what: str) -> Iterator[None]:
 
 def _beside(path: Path, part: str, endings: tuple[str, ...]) -> Path | None:
     """Return the file beside a scene's matches that holds a part of it."""
-    found = (path.with_name(path.stem + part + ending) for ending in endings)
-    return next((other for other in found if other.exists()), None)
+    candidates = (path.with_name(path.stem + part + ending) for ending in endings)
+    return next((other for other in candidates if other.exists()), None)
 
 
 def _image(path: Path, part: str) -> NDArray[Any] | None:
-    found = _beside(path, part, _IMAGES)
-    return None if found is None else read_image(found)
+    file = _beside(path, part, _IMAGES)
+    return None if file is None else read_image(file)
 
 
 def _mask(path: Path, side: str) -> NDArray[np.bool_] | None:
@@ -408,10 +399,10 @@ def _mask(path: Path, side: str) -> NDArray[np.bool_] | None:
 
 def _contour(path: Path, side: str, mask: NDArray[np.bool_] | None) -> Rings:
     """Return the rings of a contour or of a mask; none if there is neither."""
-    found = _beside(path, f"_{side}_contour", _TEXTS)
-    if found is not None:
-        with _named(str(found)):
-            return (resampled(read_points(found), _STEP),)
+    file = _beside(path, f"_{side}_contour", _TEXTS)
+    if file is not None:
+        with _named(str(file)):
+            return (resampled(read_points(file), _STEP),)
     rings = () if mask is None else outlines(mask)
     if mask is not None and not rings:
         check.refuse("mask", "It must be nonzero somewhere.", f"the {side} mask of {path.stem}")
@@ -433,11 +424,11 @@ def _homography(value: Any, mapped: Sequence[Floats]) -> Floats | None:
 
 
 def _size(
-    name: str, told: Any, mask: NDArray[np.bool_] | None, image: NDArray[Any] | None
+    name: str, declaration: Any, mask: NDArray[np.bool_] | None, image: NDArray[Any] | None
 ) -> tuple[float, float] | None:
     """Return an image's size, which all that tells it must tell alike."""
     known = [(float(shown.shape[1]), float(shown.shape[0])) for shown in (mask, image) if shown is not None]
-    declared = check.image_size(told)
+    declared = check.image_size(declaration)
     if declared is not None:
         known.append(declared)
     if len(set(known)) > 1:

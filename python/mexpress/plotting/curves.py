@@ -163,8 +163,8 @@ def _draw_curves(axes: Axes, selection: SelectionLike, line: _Line) -> None:
         chosen = selection.criterion in names
         best, curve = line.best[selection.criterion if chosen else names[0]], curves[names[0]]
         _draw(axes, (line.x, curve), best, (colour, "-" if chosen else style), chosen)
-        said = "none" if best is None else line.names[best]
-        labels[f"{_label(names, rescaled, selection)}: {said}"] = (_end(axes, curve), colour, chosen)
+        choice = "none" if best is None else line.names[best]
+        labels[f"{_label(names, rescaled, selection)}: {choice}"] = (_end(axes, curve), colour, chosen)
     _write_labels(axes, labels)
     axes.grid(alpha=0.25, lw=0.6)
 

@@ -289,9 +289,9 @@ def _mark_control_points(axes: Axes, control_points: Floats, count: int) -> None
             (some & (ranks <= count), {"mfc": colour, "mec": "white", "mew": 0.9}, "selected"),
             (some & (ranks > count), {"mfc": "none", "mec": colour, "mew": 1.6}, "not selected"),
         )
-        for kept, look, what in looks:
-            if kept.any():
-                axes.plot(*control_points[kept].T, "o", ms=6.5, label=f"{name}, {what}", **look)
+        for mask, look, what in looks:
+            if mask.any():
+                axes.plot(*control_points[mask].T, "o", ms=6.5, label=f"{name}, {what}", **look)
     for rank in _numbered(number, count):
         _write_number(axes, control_points[rank - 1], rank, BLUE if rank <= before else RED)
 

@@ -126,9 +126,9 @@ def plot_registration(
     second, target_step = rasters.reduced(rasters.as_image(target_image, "target_image"))
     positions = rasters.pixel_centres(first, step)
     with np.errstate(invalid="ignore"):
-        found = warp(positions)
-    found[warp.vanishes(positions)] = np.nan
-    pulled = rasters.sampled(second, (found - (target_step - 1) / 2) / target_step).reshape(
+        mapped = warp(positions)
+    mapped[warp.vanishes(positions)] = np.nan
+    pulled = rasters.sampled(second, (mapped - (target_step - 1) / 2) / target_step).reshape(
         first.shape[:2] + second.shape[2:]
     )
     figure = new_figure(15.0, min(4.3 * first.shape[0] / first.shape[1] + 1.0, 15.0))

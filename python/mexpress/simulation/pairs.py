@@ -192,10 +192,10 @@ def scatter(pair: Views, n: int, rng: np.random.Generator) -> Floats:
     """Points on the sheet that both views have, their images uniform over the sheet's in the first, (n, 2)."""
     sheet, camera = pair[0]
     most = 1.1 * camera.enlargement(*sheet.samples).max()
-    found = np.zeros((0, 2))
-    while len(found) < n:
+    places = np.zeros((0, 2))
+    while len(places) < n:
         points = rng.uniform(-0.5, 0.5, (4 * n, 2)) * (sheet.width, sheet.height)
         size = camera.enlargement(sheet(points), sheet.normals(points))
         drawn = size > most * rng.uniform(size=len(points))
-        found = np.concatenate([found, points[drawn & seen(pair, points)]])
-    return found[:n]
+        places = np.concatenate([places, points[drawn & seen(pair, points)]])
+    return places[:n]
