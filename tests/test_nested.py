@@ -13,6 +13,7 @@ from oracle import (
     COUPLINGS,
     Problem,
     b_spline,
+    barely_of_full_rank,
     every_scheme,
     label_rows,
     needs_longdouble,
@@ -480,6 +481,38 @@ def test_columns_that_are_nearly_lost(kind, least):
             ours, plain = relative_errors(A, b, np.array(held))
             # Q has its rows' digits to rounding of the largest entries only: hence the promise of eight, not nine.
             assert ours.max() <= max(1e-8, 10 * plain.max()), (seed, held)
+
+
+@pytest.mark.parametrize("p", [5, 12])
+def test_rank_that_is_lost_to_rounding_alone(p):
+    for seed in range(3):
+        problem = barely_of_full_rank(p, seed)
+        schemes = {"lost": s.from_sets([[58, 59]], n=60), "kept": s.from_sets([[3]], n=60)}
+        found, expected = nested(problem, range(1, p + 1), schemes), [True] * 3 + [False] * (p - 3)
+        assert np.isfinite(found["lost"]).tolist() == expected
+        assert np.isfinite(problem.curve(range(1, p + 1), schemes["lost"])).tolist() == expected
+        assert np.isfinite(found["kept"]).all()
+
+
+@needs_longdouble
+@pytest.mark.parametrize("distance", [1, 1e-2, 1e-4, 1e-7, 0])
+@pytest.mark.parametrize("m", [40, 1200])
+def test_weights_count_whatever_becomes_of_a_pair(distance, m):
+    # The third column is seen at `distance` of its length without the last two rows: the pair is solved as it is, with
+    # twice the digits, or anew, or not at all.
+    rng = np.random.default_rng(0)
+    A, b, weights = rng.normal(size=(m, 5)), rng.normal(size=(m, 2)), rng.uniform(0.1, 10, m)
+    A[:, 2] *= distance
+    A[-2:, 2] = [1.0, -2.0]
+    held = np.array([m - 2, m - 1])
+    roots = np.sqrt(weights)[:-2, None]
+    scheme = {"": s.from_sets([held], n=m)}
+    found = mx.cross_validate_nested(A, b, range(1, 6), scheme, weights=weights)[""]
+    defined = 5 if distance else 2
+    e = b[-2:] - nested_refit_wide((A[:-2] * roots)[:, :defined], b[:-2] * roots, A[-2:, :defined])
+    expected = np.full(5, np.nan)
+    expected[:defined] = np.sqrt((weights[-2:, None] * e**2).sum(axis=(1, 2)) / weights[-2:].sum())
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 @needs_longdouble
