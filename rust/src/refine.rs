@@ -17,8 +17,8 @@ const ROWS: usize = 512;
 /// Refinement needs a lambda_min(M) at which the factor still contracts the error, and the basis has its digits.
 const REFINABLE: f64 = 1e-10;
 
-/// Above this lambda_min(M) a step's gain of digits tells the next one's.
-const PREDICTABLE: f64 = 1e-7;
+/// Steps that a pair is worth: each gains five digits or more as a rule.
+const STEPS: usize = 4;
 
 /// A factored system that applies the inverse of `M = I - Q_K^T Q_K`.
 pub(crate) enum Inverse<'a> {
@@ -116,7 +116,7 @@ impl Batch {
             suspects[s].inverse.apply(factor, change);
             before[s] = dot(change, change);
         }
-        for _ in 0..8 {
+        for _ in 0..STEPS {
             if open.is_empty() {
                 return Ok(());
             }
@@ -127,13 +127,10 @@ impl Batch {
                 let change = &mut self.changes[s * rank..(s + 1) * rank];
                 change.iter_mut().zip(&*step).for_each(|(x, d)| *x += d);
                 let (length, whole) = (dot(step, step), dot(change, change));
-                // Squares. Where rounding is far below, the next step will gain as many digits as this one did.
-                let next = if suspects[s].least > PREDICTABLE { length * length } else { length * before[s] };
-                let done = next <= 1e-24 * whole * before[s];
-                // Each step must gain a digit.
-                good[s] = done || length <= 1e-2 * before[s];
+                // Squares. The next step would gain as many digits as this one did.
+                let done = length * length <= 1e-24 * whole * before[s];
                 before[s] = length;
-                good[s] && !done
+                !done
             });
         }
         open.iter().for_each(|&s| good[s] = false);
