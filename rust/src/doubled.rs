@@ -285,7 +285,7 @@ impl DoubledGram {
         add_squares(matrix, columns, *order, sign);
         for (c, e) in responses.chunks_exact(rows.len()).enumerate() {
             for (j, column) in columns.chunks_exact(rows.len()).enumerate() {
-                let Double { hi, lo } = dot((column, &[]), (e, &[]));
+                let Double { hi, lo } = Arch::new().dispatch(Dot { a: column, b: e });
                 let at = c * *order + j;
                 right.set(at, right.get(at).plus(Double { hi: sign * hi, lo: sign * lo }));
             }
@@ -349,28 +349,22 @@ impl DoubledFactor {
         out.extend(sums.iter().map(|sum| sum.hi));
     }
 
-    /// `L^-1 x` of a plain row, and its product with the right-hand side's forward solve.
-    pub fn forward(&mut self, row: &[f64], response: usize) -> (&[f64], f64) {
-        let Self { order, lower, inverse_pivots, right, row: x } = self;
+    /// `L^-1 x` of a plain row.
+    pub fn forward(&mut self, row: &[f64]) -> &[f64] {
+        let Self { lower, inverse_pivots, row: x, .. } = self;
         x.hi.clear();
         x.hi.extend_from_slice(row);
         x.lo.clear();
         x.lo.resize(row.len(), 0.0);
         Arch::new().dispatch(Substitute { lower, inverse_pivots, x });
-        let part = response * *order..(response + 1) * *order;
-        let product = dot((&x.hi, &x.lo), (&right.hi[part.clone()], &right.lo[part]));
-        (&self.row.hi, product.hi)
+        &self.row.hi
     }
 }
 
-/// One inner product; the parts lo may be left out if they are zero.
-fn dot(a: Pair<'_>, b: Pair<'_>) -> Double {
-    Arch::new().dispatch(Dot { a, b })
-}
-
+/// One inner product of plain numbers.
 struct Dot<'a> {
-    a: Pair<'a>,
-    b: Pair<'a>,
+    a: &'a [f64],
+    b: &'a [f64],
 }
 
 impl WithSimd for Dot<'_> {
@@ -378,11 +372,7 @@ impl WithSimd for Dot<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Double {
-        let [product] = if self.a.1.is_empty() {
-            dots::<S, false, 1>(simd, self.a, [self.b])
-        } else {
-            dots::<S, true, 1>(simd, self.a, [self.b])
-        };
+        let [product] = dots::<S, false, 1>(simd, (self.a, &[]), [(self.b, &[])]);
         product
     }
 }
@@ -490,7 +480,7 @@ mod tests {
             let distance: f64 = column(1).map(|(a, b)| ((b - a) - slope * a).powi(2)).sum();
             let upper = factor.upper();
             assert!((upper[3] / distance.sqrt() - 1.0).abs() < 1e-6);
-            assert!((factor.forward(&[0.0, 1.0], 0).0[1] * upper[3] - 1.0).abs() < 1e-12);
+            assert!((factor.forward(&[0.0, 1.0])[1] * upper[3] - 1.0).abs() < 1e-12);
         }
     }
 

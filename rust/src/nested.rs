@@ -9,8 +9,7 @@
 //! ```
 //!
 //! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set. The second form
-//! of v has no cancellation; nor has the sum if it goes backward from the prediction residual of the last model,
-//! `e_i + u . L^-1 Q_K^T e_K`, where that is smaller than b.
+//! of v has no cancellation.
 //!
 //! * **Dual**, for small sets: `S_l = I - Q_K,l Q_K,l^T` loses one rank-one term a column. With `w = S_l-1^-1 q_l` and
 //!   `d = 1 - q_l . w`, which is the pivot `L_ll^2`,
@@ -170,18 +169,21 @@ impl Nested {
         let cuts = self.cuts(sizes)?;
         let width = rank + sizes.len();
         let mut parts = vec![0.0; rows.div_ceil(ROWS) * width];
-        pool.run(parts.chunks_exact_mut(width.max(1)).enumerate(), Sums::default, |sums, (block, part)| {
-            let (leverage, squares) = part.split_at_mut(rank);
-            for i in block * ROWS..rows.min((block + 1) * ROWS) {
-                let q = self.factor.basis_row(i);
-                leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
-                for (c, (b, e)) in self.right_row(i).iter().zip(self.factor.residual_row(i)).enumerate() {
-                    let projection = &self.factor.projection[c * rank..(c + 1) * rank];
-                    let q: &[[f64; 1]] = q.as_chunks().0;
-                    sums.add([*b], Some([*e]), q, projection, &cuts, squares);
+        pool.run(
+            parts.chunks_exact_mut(width.max(1)).enumerate(),
+            || (),
+            |(), (block, part)| {
+                let (leverage, squares) = part.split_at_mut(rank);
+                for i in block * ROWS..rows.min((block + 1) * ROWS) {
+                    let q = self.factor.basis_row(i);
+                    leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
+                    for (c, b) in self.right_row(i).iter().enumerate() {
+                        let projection = &self.factor.projection[c * rank..(c + 1) * rank];
+                        add_squares([*b], q.as_chunks().0, projection, &cuts, squares);
+                    }
                 }
-            }
-        })?;
+            },
+        )?;
         let mut sums = vec![0.0; width];
         for part in parts.chunks_exact(width.max(1)) {
             sums.iter_mut().zip(part).for_each(|(s, x)| *s += x);
@@ -292,54 +294,15 @@ fn part<'a>(
     Problem { design, penalty, columns, ..*problem }
 }
 
-/// Residuals of every model, of N rows side by side.
-#[derive(Default)]
-struct Sums<const N: usize> {
-    /// By cut, residuals and the size of what they are a difference of.
-    forward: Vec<([f64; N], [f64; N])>,
-}
-
-impl<const N: usize> Sums<N> {
-    /// Adds the squares of `b - sum_{j < cut} u_j v_j` at every cut. Given the residual of the last model, the sums that come
-    /// from there are taken where they lose less.
-    fn add(
-        &mut self,
-        b: [f64; N],
-        last: Option<[f64; N]>,
-        u: &[[f64; N]],
-        v: &[f64],
-        cuts: &[usize],
-        squares: &mut [f64],
-    ) {
-        self.forward.clear();
-        let (mut rest, mut size, mut done) = (b, b.map(f64::abs), 0);
-        for &cut in cuts {
-            for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
-                for k in 0..N {
-                    rest[k] -= u[k] * v;
-                    size[k] = size[k].max(rest[k].abs());
-                }
-            }
-            done = cut;
-            self.forward.push((rest, size));
+/// Adds the squares of `b - sum_{j < cut} u_j v_j` at every cut, of N rows side by side.
+fn add_squares<const N: usize>(b: [f64; N], u: &[[f64; N]], v: &[f64], cuts: &[usize], squares: &mut [f64]) {
+    let (mut rest, mut done) = (b, 0);
+    for (square, &cut) in squares.iter_mut().zip(cuts) {
+        for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
+            rest.iter_mut().zip(u).for_each(|(rest, u)| *rest -= u * v);
         }
-        let (mut rest, mut size, mut done) = match last {
-            Some(last) => (last, last.map(f64::abs), u.len()),
-            None => (rest, [f64::INFINITY; N], done),
-        };
-        for ((square, &cut), (forward, sizes)) in squares.iter_mut().zip(cuts).zip(&self.forward).rev() {
-            for (u, v) in u[cut..done].iter().zip(&v[cut..done]).rev() {
-                for k in 0..N {
-                    rest[k] += u[k] * v;
-                    size[k] = size[k].max(rest[k].abs());
-                }
-            }
-            done = cut;
-            for k in 0..N {
-                let better = if size[k] < sizes[k] { rest[k] } else { forward[k] };
-                *square += better * better;
-            }
-        }
+        done = cut;
+        rest.iter().for_each(|e| *square += e * e);
     }
 }
 
@@ -459,7 +422,6 @@ impl Sweep<'_> {
             last: Last::default(),
             factor: DoubledFactor::default(),
             refit: Refit::default(),
-            sums: Sums::default(),
         };
         let run = (steps.len() / 16).clamp(1, RUN);
         pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
@@ -545,8 +507,6 @@ struct Workspace {
     /// Squared prediction residuals of the pair at hand, one a cut.
     curve: Vec<f64>,
     forward: Vec<f64>,
-    residual: Vec<f64>,
-    sums: Sums<8>,
     dual: Dual,
 }
 
@@ -564,8 +524,6 @@ impl Workspace {
             validated: 0,
             curve: vec![0.0; sweep.cuts.len()],
             forward: Vec::new(),
-            residual: Vec::new(),
-            sums: Sums::default(),
             dual: Dual::default(),
         }
     }
@@ -679,24 +637,16 @@ impl Workspace {
         if least < SAFE {
             return Outcome::Close;
         }
-        let Self { system, rows, validated, curve, forward, residual, sums, .. } = self;
+        let Self { system, rows, validated, curve, forward, .. } = self;
         for rows in rows[rows.len() - *validated..].chunks(CARRIED) {
             system.carry(rows.iter().map(|&i| factor.basis_row(i)));
             for c in 0..responses {
-                system.forward_row(c, residual);
-                forward.clone_from(residual);
+                system.forward_row(c, forward);
                 system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
                 for (panel, rows) in system.carried().chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
-                    let mut last = [0.0; 8];
-                    for (u, y) in panel.iter().zip(&*residual) {
-                        last.iter_mut().zip(u).for_each(|(last, u)| *last -= u * y);
-                    }
                     let mut b = [0.0; 8];
-                    for (k, &i) in rows.iter().enumerate() {
-                        b[k] = sweep.nested.right_row(i)[c];
-                        last[k] += factor.residual_row(i)[c];
-                    }
-                    sums.add(b, Some(last), panel, forward, sweep.cuts, curve);
+                    b.iter_mut().zip(rows).for_each(|(b, &i)| *b = sweep.nested.right_row(i)[c]);
+                    add_squares(b, panel, forward, sweep.cuts, curve);
                 }
             }
         }
@@ -740,7 +690,6 @@ struct Rescue<'a> {
     last: Last<DoubledGram>,
     factor: DoubledFactor,
     refit: Refit,
-    sums: Sums<1>,
 }
 
 impl Rescue<'_> {
@@ -770,22 +719,14 @@ impl Rescue<'_> {
             return 0.0;
         }
         let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
-        let forward = self.factor.forward(&signs, 0).0;
+        let forward = self.factor.forward(&signs);
         let grown = dot(forward, forward) - 10.0 * rank as f64;
         let Workspace { rows, validated, curve, forward, .. } = &mut self.plain;
         for c in 0..responses {
             self.factor.projection(c, &factor.projection[c * rank..(c + 1) * rank], forward);
             for &i in &rows[rows.len() - *validated..] {
-                let (u, change) = self.factor.forward(factor.basis_row(i), c);
-                let last = factor.residual_row(i)[c] - change;
-                self.sums.add(
-                    [right[i * responses + c]],
-                    Some([last]),
-                    u.as_chunks().0,
-                    forward,
-                    cuts,
-                    curve,
-                );
+                let u = self.factor.forward(factor.basis_row(i));
+                add_squares([right[i * responses + c]], u.as_chunks().0, forward, cuts, curve);
             }
         }
         if grown > 0.0 { smallest.min(grown.recip()) } else { smallest }
@@ -819,7 +760,7 @@ impl Rescue<'_> {
         for &i in &plain.rows[plain.rows.len() - plain.validated..] {
             for c in 0..factor.responses {
                 let (b, u, v) = refit.forward(factor, problem, i, c, leading)?;
-                self.sums.add([b], None, u.as_chunks().0, v, &sweep.cuts[..defined], &mut plain.curve);
+                add_squares([b], u.as_chunks().0, v, &sweep.cuts[..defined], &mut plain.curve);
             }
         }
         Ok(defined)
