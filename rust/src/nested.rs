@@ -14,7 +14,7 @@
 //! * **Dual**, for small sets: `S_l = I - Q_K,l Q_K,l^T` loses one rank-one term a column. With `w = S_l-1^-1 q_l` and
 //!   `d = 1 - q_l . w`, which is the pivot `L_ll^2`,
 //!   `S_l^-1 = S_l-1^-1 + w w^T / d` and the prediction residuals become `e - w (c_l - q_l . e) / d`. The sums have no
-//!   cancellation; what drifts shows in `S_p e - e_K`, and is then left to the primal.
+//!   cancellation.
 //! * **Neighbouring sets** share a [`Gram`] matrix: that of a pair is made from that of the pair before, of the next smaller
 //!   scheme around the same datum (ring by ring), or afresh, whichever differs in the fewest rows.
 //! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. M squares singular values, so the
@@ -47,9 +47,6 @@ const RUN: usize = 64;
 
 /// Below this lambda_min(M), training rows of an ill-conditioned design may have lost rank.
 const DOUBTFUL: f64 = 1e-5;
-
-/// Residual of the dual's last system, relative to its terms, that tells of drift.
-const DRIFT: f64 = 1e-11;
 
 /// Steps of a chain that share matrices; the next ones start afresh, so that rounding does not grow.
 const STEPS: usize = 64;
@@ -800,7 +797,7 @@ impl Dual {
             *square += self.residuals.chunks_exact(q).map(|e| dot(&e[first..], &e[first..])).sum::<f64>();
         }
         let trace: f64 = self.inverse.iter().step_by(q + 1).sum();
-        trace < q as f64 + 1.0 / DOUBTFUL && !self.drifted(nested, rows, done)
+        trace < q as f64 + 1.0 / DOUBTFUL
     }
 
     fn load(&mut self, nested: &Nested, rows: &[usize]) {
@@ -839,22 +836,5 @@ impl Dual {
             row.iter_mut().zip(&*w).for_each(|(x, w)| *x += factor * w);
         }
         true
-    }
-
-    /// Whether `S e` is not what it must be, e_K of the last model: a direct check of all the updates.
-    fn drifted(&self, nested: &Nested, rows: &[usize], rank: usize) -> bool {
-        let q = rows.len();
-        let projections = nested.factor.projection.chunks_exact(nested.factor.rank.max(1));
-        self.residuals.chunks_exact(q).zip(projections).enumerate().any(|(c, (e, projection))| {
-            let turned: Vec<f64> =
-                self.columns.chunks_exact(q).take(rank).map(|column| dot(column, e)).collect();
-            rows.iter().zip(e).any(|(&row, e_row)| {
-                let basis = &nested.factor.basis_row(row)[..rank];
-                let b = nested.right_row(row)[c];
-                let (back, fit) = (dot(basis, &turned), dot(basis, projection));
-                let size = e_row.abs() + back.abs() + b.abs() + fit.abs();
-                (e_row - back - (b - fit)).abs() > DRIFT * size
-            })
-        })
     }
 }
