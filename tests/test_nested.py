@@ -531,6 +531,17 @@ def test_pivots_that_hide_the_conditioning(order, c):
     assert ours.max() < 1e-9
 
 
+def test_a_row_that_takes_over_little_by_little():
+    # No pivot is below a half, and yet the row has a leverage of 1 - 1e-9 at last.
+    rng = np.random.default_rng(0)
+    Q, row = np.linalg.qr(rng.normal(size=(100, 30)))[0], np.sqrt(2.0 ** np.arange(30))
+    b = rng.normal(size=101)
+    terms = row * (Q.T @ b[:100])
+    problem = Problem(np.vstack([Q, row]), b, np.arange(101))
+    found = nested(problem, range(1, 31), {"": s.from_sets([[100]], n=101)})[""]
+    assert (np.abs(found - np.abs(b[100] - np.cumsum(terms))) < 1e-9 * np.cumsum(np.abs(terms))).all()
+
+
 # ---------------------------------------------------------------------------------------------- any problem
 
 
