@@ -3,10 +3,10 @@
 use std::sync::atomic::AtomicBool;
 
 use mexpress::error::Error;
-use mexpress::factor::{Factor, Problem};
-use mexpress::holdout::{Pairs, Predictions, Status};
+use mexpress::fit::factor::{Factor, Problem};
+use mexpress::holdout::pairs::{Pairs, Predictions, Status};
 use mexpress::pool::Pool;
-use mexpress::scheme::Sets;
+use mexpress::sets::Sets;
 use proptest::prelude::*;
 
 static NEVER: AtomicBool = AtomicBool::new(false);

@@ -6,7 +6,7 @@
 //! never on the number of threads.
 
 use crate::error::Error;
-use crate::linalg::{self, QrScratch, dot};
+use crate::fit::linalg::{self, QrScratch, dot};
 use crate::pool::Pool;
 
 /// A weighted, penalised least-squares problem: `min ||W^1/2 (b - A x)||^2 + ||Z x||^2`. Matrices are row-major.

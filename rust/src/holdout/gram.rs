@@ -5,11 +5,11 @@
 //! which follow the same sums. Rounding adds up: an error of about eps a change, so users start afresh
 //! now and then.
 //!
-//! Storage is in the panels of [`crate::cholesky`], so that a factorisation starts from a copy.
+//! Storage is in the panels of [`crate::holdout::kernel`], so that a factorisation starts from a copy.
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::cholesky::{PANEL, products};
+use crate::holdout::kernel::{PANEL, products};
 
 /// Rows added at a time: their packed copy, of a few hundred columns, stays in the second-level cache.
 const BATCH: usize = 64;

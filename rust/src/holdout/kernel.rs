@@ -16,7 +16,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::gram::Gram;
+use crate::holdout::gram::Gram;
 
 /// Rows of a panel.
 pub(crate) const PANEL: usize = 8;

@@ -18,23 +18,23 @@
 //! * **Neighbouring sets** share a [`Gram`] matrix: that of a pair is made from that of the pair before, of the next smaller
 //!   scheme around the same datum (ring by ring), or afresh, whichever differs in the fewest rows.
 //! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. M squares singular values, so the
-//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see [`crate::doubled`]. The training
+//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see [`crate::holdout::rescue::double_double`]. The training
 //!   rows' triangle `L^T R`, with R the design's, decides on rank. Where Q itself has too few digits, at lambda_min near
 //!   rounding, the training rows are refitted, and their own triangle gives u and v for all l.
 
 use std::sync::OnceLock;
 
-use crate::cholesky::Bordered;
-use crate::doubled::{self, DoubledFactor, DoubledGram, Doubles};
 use crate::error::Error;
-use crate::factor::{self, Factor, Problem, expect_length};
-use crate::gram::Gram;
-use crate::holdout::{PROBES, check_indices, least_eigenvalue, sign};
-use crate::linalg::{self, dot};
-use crate::neighbours::Around;
+use crate::fit::factor::{self, Factor, Problem, expect_length};
+use crate::fit::linalg::{self, dot};
+use crate::holdout::gram::Gram;
+use crate::holdout::kernel::Bordered;
+use crate::holdout::pairs::{PROBES, check_indices, least_eigenvalue, sign};
+use crate::holdout::rescue::double_double::{self, DoubledFactor, DoubledGram, Doubles};
+use crate::holdout::rescue::refit::Refit;
+use crate::near::neighbours::Around;
 use crate::pool::Pool;
-use crate::refit::Refit;
-use crate::scheme::Sets;
+use crate::sets::Sets;
 
 /// Below this lambda_min(M) a pair needs twice the digits.
 const SAFE: f64 = 2e-7;

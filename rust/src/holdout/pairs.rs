@@ -3,7 +3,7 @@
 //! With q held-out rows and rank p, a pair is solved in the smaller of two spaces. The *dual* factors
 //! `I - Q_K Q_K^T` (q x q). The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K` (p x p). Both are one
 //! call of [`Bordered`]. One to three rows are unrolled. A pivot near zero says that the training rows barely
-//! determine the model: such a pair is refitted from its training rows, which decides its rank, see [`crate::refit`].
+//! determine the model: such a pair is refitted from its training rows, which decides its rank, see [`crate::holdout::rescue::refit`].
 //!
 //! Balls around one datum nest, and one dual factorisation serves them all: with the datum's rows first and then ring after
 //! ring, a ball is a leading part of the largest, and so are its factor L and its forward solves `y = L^-1 e_K` and
@@ -13,15 +13,15 @@ use std::ops::Range;
 use std::slice;
 use std::sync::OnceLock;
 
-use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::{Factor, Problem, expect_length};
-use crate::linalg::dot;
-use crate::plan::{CARRIED, Hat, Plan, Slot, costs};
+use crate::fit::factor::{Factor, Problem, expect_length};
+use crate::fit::linalg::dot;
+use crate::holdout::kernel::Bordered;
+use crate::holdout::rescue::refine::{Batch, Inverse, Suspect, refinable};
+use crate::holdout::rescue::refit::Refit;
+use crate::holdout::visit::{CARRIED, Hat, Plan, Slot, costs};
 use crate::pool::Pool;
-use crate::refine::{Batch, Inverse, Suspect, refinable};
-use crate::refit::Refit;
-use crate::scheme::Sets;
+use crate::sets::Sets;
 
 /// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
 /// error is about eps / lambda_min(M).

@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::holdout::{Pairs, Status, check_indices};
-use crate::linalg;
+use crate::fit::factor::Factor;
+use crate::fit::linalg;
+use crate::holdout::pairs::{Pairs, Status, check_indices};
 use crate::pool::Pool;
-use crate::scheme::Sets;
+use crate::sets::Sets;
 
 /// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
 pub(crate) const CARRIED: usize = 4;

@@ -1,7 +1,7 @@
 //! Hilbert's curve: an order of points in which successive ones are near each other.
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 
 /// Steps of subdivision: cells of a 65,536th of the extent.
 const BITS: u32 = 16;
@@ -9,10 +9,10 @@ const BITS: u32 = 16;
 /// The points' indices, sorted along a Hilbert curve through their bounding box.
 ///
 /// Points in one, two or three dimensions lie end to end in a slice; points of one cell are in the order of their indices. Fails
-/// as [`crate::neighbours::within`] does.
+/// as [`crate::near::neighbours::within`] does.
 ///
 /// ```
-/// use mexpress::curve::along_curve;
+/// use mexpress::near::hilbert::along_curve;
 /// let corners = [0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0];
 /// assert_eq!(along_curve(&corners, 2)?, [0, 3, 1, 2]);
 /// # Ok::<(), mexpress::error::Error>(())

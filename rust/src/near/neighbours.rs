@@ -11,7 +11,7 @@ use rstar::{ParentNode, Point, PointDistance, RTree, RTreeNode};
 
 use crate::error::Error;
 use crate::pool::Pool;
-use crate::scheme::{MOST_MEMBERS, Sets};
+use crate::sets::{MOST_MEMBERS, Sets};
 
 /// Points a task looks after: enough to hide the queue, few enough to balance crowded and sparse regions.
 const CHUNK: usize = 256;
@@ -25,7 +25,7 @@ const SLACK: usize = 2;
 /// there are not one to three of them per point, or, naming the first of them, if some are not finite.
 ///
 /// ```
-/// use mexpress::{neighbours::within, pool::Pool};
+/// use mexpress::{near::neighbours::within, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let sets = within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0, &Pool::new(1, &flag))?;
 /// assert_eq!(sets.get(0), &[0, 2]);
@@ -48,7 +48,7 @@ pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Res
 /// points.
 ///
 /// ```
-/// use mexpress::{neighbours::nearest, pool::Pool};
+/// use mexpress::{near::neighbours::nearest, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let corners = [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0];
 /// let sets = nearest(&corners, 2, 2, &Pool::new(1, &flag))?;
@@ -160,7 +160,7 @@ where
 /// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
 ///
 /// ```
-/// use mexpress::neighbours::Around;
+/// use mexpress::near::neighbours::Around;
 /// let around = Around::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0)?;
 /// let mut members = Vec::new();
 /// around.members(2, &mut members);

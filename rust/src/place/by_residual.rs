@@ -18,7 +18,7 @@ use std::array;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 use crate::pool::Pool;
 
 /// Rows of a block: a block of two hundred columns stays in the cache of a core.
@@ -53,7 +53,7 @@ const TIED: f64 = 1e-9;
 /// a line.
 ///
 /// ```
-/// use mexpress::{arrival::arrival, pool::Pool};
+/// use mexpress::{place::by_residual::arrival, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// // A square and its middle, which is 1 above the plane of the corners.
 /// let points = [0.0, 0.0, 2.0, 0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 1.0];
@@ -466,7 +466,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::factor::{Factor, Problem};
+    use crate::fit::factor::{Factor, Problem};
 
     fn run(
         points: &[f64],

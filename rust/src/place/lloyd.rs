@@ -3,7 +3,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 use crate::pool::Pool;
 
 /// Samples that share a list of the centres that may be nearest to them: few, so that the list is short, but
@@ -32,7 +32,7 @@ const ROUNDING: f64 = 1e-12;
 /// nothing moves. Fails if a length is odd or, naming the first of them, if some values are not finite.
 ///
 /// ```
-/// use mexpress::{placement::lloyd, pool::Pool};
+/// use mexpress::{place::lloyd::lloyd, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let region = [0.0, 0.0, 1.0, 0.0, 8.0, 0.0, 9.0, 0.0];
 /// let centres = lloyd(&region, &[0.0, 0.0, 1.0, 0.0], 100, 0.0, &Pool::new(1, &flag))?;
@@ -72,7 +72,7 @@ pub fn lloyd(
 /// samples there are none; a sample is drawn twice only if no other is elsewhere. Fails as [`lloyd`] does.
 ///
 /// ```
-/// use mexpress::{placement::spread, pool::Pool};
+/// use mexpress::{place::lloyd::spread, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let places = [0.0, 0.0, 1.0, 0.0, 9.0, 0.0];
 /// assert_eq!(spread(&places, &[0.1, 0.2, 0.9], &Pool::new(1, &flag))?, [0, 2, 1]);

@@ -1,4 +1,4 @@
-//! The boundary to Python. The only file that names PyO3: arrays in, arrays out, the interpreter released in between.
+//! The boundary to Python. The only folder that names PyO3: arrays in, arrays out, the interpreter released in between.
 //!
 //! Checks that deserve a sentence are made in Python; what is checked here keeps memory safe, no more.
 
@@ -11,11 +11,13 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::error::Error;
-use crate::factor::Problem;
-use crate::holdout::{Pairs, Status};
+use crate::fit::factor::Problem;
+use crate::holdout::nested;
+use crate::holdout::pairs::{Pairs, Status};
+use crate::near::{delaunay, distance_matching, hilbert, neighbours};
+use crate::place::{by_residual, lloyd};
 use crate::pool::Pool;
-use crate::scheme::Sets;
-use crate::{curve, delaunay, matching, neighbours, nested, placement};
+use crate::sets::Sets;
 
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Array2<'py, T> = Bound<'py, PyArray2<T>>;
@@ -124,7 +126,7 @@ impl Kept {
 /// A fitted least-squares problem.
 #[pyclass(frozen, module = "mexpress._core")]
 struct Factor {
-    fit: crate::factor::Factor,
+    fit: crate::fit::factor::Factor,
     arrays: Kept,
 }
 
@@ -168,7 +170,7 @@ impl Factor {
         py: Python<'py>,
         arrays: Kept,
         threads: usize,
-        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<crate::factor::Factor, Error> + Send + Sync,
+        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<crate::fit::factor::Factor, Error> + Send + Sync,
     ) -> PyResult<Self> {
         let held = arrays.borrow(py)?;
         let problem = held.problem()?;
@@ -196,7 +198,7 @@ impl Factor {
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
         };
-        Self::build(py, arrays, threads, crate::factor::Factor::new)
+        Self::build(py, arrays, threads, crate::fit::factor::Factor::new)
     }
 
     /// Of a design and penalty rows that have orthonormal columns together.
@@ -210,7 +212,7 @@ impl Factor {
     ) -> PyResult<Self> {
         let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
         let arrays = Kept { design, responses, root_weights: None, penalty };
-        Self::build(py, arrays, threads, crate::factor::Factor::orthonormal)
+        Self::build(py, arrays, threads, crate::fit::factor::Factor::orthonormal)
     }
 
     #[getter]
@@ -460,7 +462,7 @@ fn find_not_finite(py: Python<'_>, values: PyReadonlyArray2<'_, f64>) -> PyResul
 fn along_curve<'py>(py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Array1<'py, i64>> {
     let dimension = points.shape()[1];
     let points = matrix(&points)?;
-    let order = py.detach(|| curve::along_curve(points, dimension))?;
+    let order = py.detach(|| hilbert::along_curve(points, dimension))?;
     Ok(indices(py, &order))
 }
 
@@ -507,7 +509,7 @@ fn neighbours_matched<'py>(
     let dimension = points.shape()[1];
     let (points, queries) = (matrix(&points)?, matrix(&queries)?);
     let found = interruptible(py, f64::INFINITY, threads, |pool| {
-        matching::matched(points, queries, dimension, most, pool)
+        distance_matching::matched(points, queries, dimension, most, pool)
     })?;
     Ok(arrays(py, &found))
 }
@@ -533,9 +535,8 @@ fn lloyd<'py>(
     let count = start.shape()[0];
     let cost = (samples.shape()[0] * count * max_steps) as f64;
     let (samples, start) = (matrix(&samples)?, matrix(&start)?);
-    let centres = interruptible(py, cost, threads, |pool| {
-        placement::lloyd(samples, start, max_steps, tolerance, pool)
-    })?;
+    let centres =
+        interruptible(py, cost, threads, |pool| lloyd::lloyd(samples, start, max_steps, tolerance, pool))?;
     table(py, centres, count, 2)
 }
 
@@ -548,7 +549,7 @@ fn spread<'py>(
 ) -> PyResult<Array1<'py, i64>> {
     let cost = (samples.shape()[0] * draws.shape()[0]) as f64;
     let (samples, draws) = (matrix(&samples)?, slice(&draws)?);
-    let drawn = interruptible(py, cost, 1, |pool| placement::spread(samples, draws, pool))?;
+    let drawn = interruptible(py, cost, 1, |pool| lloyd::spread(samples, draws, pool))?;
     Ok(indices(py, &drawn))
 }
 
@@ -567,7 +568,7 @@ fn arrival<'py>(
     let cost = 2.0 * points.shape()[0] as f64 * (count as f64).powi(2);
     let (points, values) = (matrix(&points)?, matrix(&values)?);
     let chosen = interruptible(py, cost, threads, |pool| {
-        crate::arrival::arrival(points, values, first, max_count, min_distance, pool)
+        by_residual::arrival(points, values, first, max_count, min_distance, pool)
     })?;
     Ok(indices(py, &chosen))
 }

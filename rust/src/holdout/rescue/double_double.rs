@@ -255,7 +255,7 @@ impl WithSimd for AddSquares<'_> {
     }
 }
 
-/// `Q^T Q - Q_K^T Q_K` above `-Q_K^T e_K`: what [`crate::gram::Gram`] is in plain arithmetic.
+/// `Q^T Q - Q_K^T Q_K` above `-Q_K^T e_K`: what [`crate::holdout::gram::Gram`] is in plain arithmetic.
 #[derive(Clone, Default)]
 pub struct DoubledGram {
     order: usize,

@@ -3,12 +3,12 @@
 //! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is about
 //! eps / lambda_min(M). The residuals of the training rows themselves do not suffer, and with the factor at hand they correct the
 //! closed form; several pairs at once, so that one pass over the basis serves all. Where even that is too coarse, see
-//! [`crate::refit`].
+//! [`crate::holdout::rescue::refit`].
 
-use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::linalg::{self, dot};
+use crate::fit::factor::Factor;
+use crate::fit::linalg::{self, dot};
+use crate::holdout::kernel::Bordered;
 use crate::pool::Pool;
 
 /// Rows of the basis between two looks at whether the work has been called off.

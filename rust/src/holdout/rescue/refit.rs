@@ -4,9 +4,9 @@
 //! the triangle that is left answers for all leading columns.
 
 use crate::error::Error;
-use crate::factor::{Factor, Problem, leading_rank, numerical_rank};
-use crate::holdout::Status;
-use crate::linalg::{self, QrScratch, dot};
+use crate::fit::factor::{Factor, Problem, leading_rank, numerical_rank};
+use crate::fit::linalg::{self, QrScratch, dot};
+use crate::holdout::pairs::Status;
 use crate::pool::Pool;
 
 /// Training rows reduced at a time.

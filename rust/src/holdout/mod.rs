@@ -1,0 +1,8 @@
+//! What is held out: pairs of sets and their predictions, of one model or of all leading ones.
+
+pub mod gram;
+pub mod kernel;
+pub mod nested;
+pub mod pairs;
+pub mod rescue;
+mod visit;
