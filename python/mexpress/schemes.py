@@ -192,21 +192,21 @@ class Neighbourhoods:
     """
 
     n_data: int
-    around: _core.Around
+    around: _core.LazyNeighbourhoods
     order: Integers
 
     @classmethod
     def within(cls, points: Floats, radius: float) -> Neighbourhoods:
         """All within a radius: `exclusion_radius`."""
         where = check.points(points, "points", dimension=None)
-        return cls(len(where), _core.Around.within(where, radius), _core.along_curve(where))
+        return cls(len(where), _core.LazyNeighbourhoods.within(where, radius), _core.hilbert_order(where))
 
     @classmethod
     def nearest(cls, points: Floats, k: int) -> Neighbourhoods:
         """The k nearest, the datum itself counted: `nearest`."""
         where = check.points(points, "points", dimension=None)
         k = check.count(k, "k", 1, len(where))
-        return cls(len(where), _core.Around.nearest(where, k), _core.along_curve(where))
+        return cls(len(where), _core.LazyNeighbourhoods.nearest(where, k), _core.hilbert_order(where))
 
     def __repr__(self) -> str:
         return f"Neighbourhoods({self.n_data} data, about {self.around.mean:.0f} held out)"
@@ -442,7 +442,7 @@ def _around(points: Floats, search: Callable[[], tuple[Integers, Integers]]) -> 
         neighbourhoods = IndexSets(*search())
     except ValueError as error:
         check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
-    return Scheme(n, neighbourhoods, each_alone(n), _core.along_curve(points))
+    return Scheme(n, neighbourhoods, each_alone(n), _core.hilbert_order(points))
 
 
 def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:

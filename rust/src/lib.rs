@@ -14,14 +14,15 @@
 //! * **Primal.** By the Woodbury identity `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K`, p x p: cheap for
 //!   large sets. The two cost the same at q = p.
 //! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout::pairs`].
-//! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border, see
-//!   [`holdout::kernel`]; only the validated unknowns are solved for.
+//! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border,
+//!   see [`holdout::kernel`]; only the validated unknowns are solved for.
 //! * **Weights** scale rows by their roots; **penalty rows** Z extend A and are never held out, so Q is the top of the
 //!   basis of `[A; Z]` and nothing else changes.
-//! * **Nested models.** If Q is that of an unpivoted factorisation, leading blocks of M's factor belong to leading columns, and the
-//!   predictions of all leading models are cumulative sums, see [`holdout::nested`]. Neighbouring sets share M, see [`holdout::gram`].
-//! * **Rank loss.** `M = Q_-K^T Q_-K`, so a vanishing pivot means that the training rows no longer determine the model: the pair
-//!   is *undefined*. Near that, digits are lost, and [`holdout::rescue`] brings them back.
+//! * **Nested models.** If Q is that of an unpivoted factorisation, leading blocks of M's factor belong to leading columns,
+//!   and the predictions of all leading models are cumulative sums, see [`holdout::nested`]. Neighbouring sets share M,
+//!   see [`holdout::gram`].
+//! * **Rank loss.** `M = Q_-K^T Q_-K`, so a vanishing pivot means that the training rows no longer determine the model: the
+//!   pair is *undefined*. Near that, digits are lost, and [`holdout::rescue`] brings them back.
 //!
 //! # The map
 //!

@@ -4,7 +4,7 @@ use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
 use crate::holdout::pairs::Workspace;
 use crate::holdout::probes::{PROBES, by_probe, set_probes};
-use crate::holdout::visit::{CARRIED, Hat, Slot};
+use crate::holdout::visit::{Hat, MOST_CARRIED, Slot};
 
 impl Workspace {
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
@@ -47,7 +47,7 @@ impl Workspace {
         slots: &mut [Slot<'_>],
     ) -> bool {
         let (q, responses) = (ends[ends.len() - 1], factor.responses);
-        let carried = if self.validated <= CARRIED { self.validated } else { 0 };
+        let carried = if self.validated <= MOST_CARRIED { self.validated } else { 0 };
         self.fill_dual(factor, hat, q, carried);
         if self.system.factor() <= 0.0 {
             return false;

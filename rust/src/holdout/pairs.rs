@@ -1,9 +1,9 @@
 //! Prediction residuals of held-out pairs, equation (6): `e_(K) = (I - H_KK)^-1 e_K`, for the validated rows alone.
 //!
 //! With q held-out rows and rank p, a pair is solved in the smaller of two spaces. The *dual* factors
-//! `I - Q_K Q_K^T` (q x q). The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K` (p x p). Both are one
-//! call of [`Bordered`]. One to three rows are unrolled. A pivot near zero says that the training rows barely
-//! determine the model: such a pair is refitted from its training rows, which decides its rank, see [`crate::holdout::rescue::refit`].
+//! `I - Q_K Q_K^T` (q x q). The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K` (p x p).
+//! Both are one call of [`Bordered`]. One to three rows are unrolled. A smallest eigenvalue near zero says that the
+//! training rows barely determine the model: see [`crate::holdout::rescue`].
 //!
 //! Balls around one datum nest, and one dual factorisation serves them all: with the datum's rows first and then ring after
 //! ring, a ball is a leading part of the largest, and so are its factor L and its forward solves `y = L^-1 e_K` and
@@ -16,14 +16,14 @@ use crate::fit::factor::{Factor, Problem, expect_length};
 use crate::fit::linalg::dot;
 use crate::holdout::kernel::Bordered;
 use crate::holdout::probes::{PROBES, least_eigenvalue};
-use crate::holdout::rescue::refine::{Inverse, Suspect};
+use crate::holdout::rescue::refine::{Inverse, NearSingular};
 use crate::holdout::visit::{Hat, Plan, Slot, costs};
 use crate::pool::Pool;
 use crate::sets::Sets;
 
-/// Below this lambda_min(M), give or take what an estimate may miss, the closed form is not trusted with nine digits: its
-/// error is about eps / lambda_min(M).
-pub(super) const SAFE: f64 = 2e-6;
+/// Below this estimate of lambda_min(M) the closed form no longer has nine digits: its error is about
+/// eps / lambda_min(M).
+pub(super) const CLOSED_FORM_MIN_EIGENVALUE: f64 = 2e-6;
 
 /// Which data each pair holds out and validates, and the rows of every datum.
 pub struct Pairs<'a> {
@@ -96,7 +96,7 @@ impl Factor {
                     let run = plan.runs.get(run);
                     let (slots, after) = rest.split_at_mut(run.len());
                     rest = after;
-                    workspace.gather(pairs, run);
+                    workspace.list_rows(pairs, run);
                     workspace.solve(self, hat, slots);
                 }
             },
@@ -119,7 +119,7 @@ impl Factor {
             cut(&mut blocks, &sizes).into_iter().enumerate(),
             Workspace::default,
             |workspace, (pair, block)| {
-                workspace.gather(pairs, &[pair]);
+                workspace.list_rows(pairs, &[pair]);
                 workspace.spread(self, block);
             },
         )?;
@@ -167,7 +167,7 @@ pub(crate) fn check_indices(sets: &Sets, bound: usize) -> Result<(), Error> {
     }
 }
 
-/// Everything a thread needs to solve pairs; it soon allocates no more.
+/// Everything a thread needs to solve pairs; after the largest pair it allocates no more.
 #[derive(Default)]
 pub(super) struct Workspace {
     pub(super) system: Bordered,
@@ -183,7 +183,7 @@ pub(super) struct Workspace {
 }
 
 impl Workspace {
-    pub(super) fn gather(&mut self, pairs: &Pairs<'_>, run: &[usize]) {
+    pub(super) fn list_rows(&mut self, pairs: &Pairs<'_>, run: &[usize]) {
         self.rows.clear();
         self.ends.clear();
         let mut inside = pairs.validated.get(run[0]);
@@ -234,21 +234,21 @@ impl Workspace {
         self.accept(factor, least, slot);
     }
 
-    /// Takes what was found, unless it is too close to rank loss.
+    /// Accepts the solution, unless the pair is too close to rank loss.
     pub(super) fn accept(&self, factor: &Factor, least: f64, slot: &mut Slot<'_>) {
-        if least >= SAFE {
+        if least >= CLOSED_FORM_MIN_EIGENVALUE {
             unweight(factor, &self.rows[..self.validated], slot.residuals);
             *slot.status = Some(Status::Closed);
         }
     }
 
-    /// The pair at hand, for another try.
-    pub(super) fn suspect<'a>(
+    /// The current pair with its factored system, for refinement.
+    pub(super) fn near_singular<'a>(
         &'a mut self,
         factor: &Factor,
         hat: Option<&Hat>,
         out: &'a mut [f64],
-    ) -> Suspect<'a> {
+    ) -> NearSingular<'a> {
         let q = self.rows.len();
         let (dual, primal) = costs(q, factor.rank, hat.is_some());
         let least = if dual <= primal {
@@ -259,7 +259,7 @@ impl Workspace {
         };
         let Self { system, rows, validated, .. } = self;
         let inverse = if dual <= primal { Inverse::Dual(system, rows) } else { Inverse::Primal(system) };
-        Suspect { inverse, least, rows, validated: *validated, out }
+        NearSingular { inverse, least, rows, validated: *validated, out }
     }
 
     /// `((I - H_KK)^-1)_TT` of the pair at hand: in the dual of unit vectors, in the primal `I + Q_T M^-1 Q_T^T`.

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
-use crate::holdout::pairs::{SAFE, Workspace};
+use crate::holdout::pairs::{CLOSED_FORM_MIN_EIGENVALUE, Workspace};
 use crate::holdout::probes::{PROBES, least_eigenvalue, set_probes};
-use crate::holdout::visit::CARRIED;
+use crate::holdout::visit::MOST_CARRIED;
 
 impl Workspace {
     pub(super) fn primal_factor(&mut self, factor: &Factor, carried: &Range<usize>) -> f64 {
@@ -26,9 +26,9 @@ impl Workspace {
     pub(super) fn primal(&mut self, factor: &Factor, out: &mut [f64]) -> f64 {
         let responses = factor.responses;
         let validated = 0..self.validated;
-        let carry = validated.len() <= CARRIED;
+        let carry = validated.len() <= MOST_CARRIED;
         let least = self.primal_factor(factor, if carry { &validated } else { &(0..0) });
-        if least < SAFE {
+        if least < CLOSED_FORM_MIN_EIGENVALUE {
             return least;
         }
         for c in 0..responses {

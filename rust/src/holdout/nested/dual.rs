@@ -1,7 +1,7 @@
 //! Small sets: the inverse of `S_l = I - Q_K,l Q_K,l^T` column by column, and with it the residuals of every leading model.
 
 use super::Nested;
-use super::sweep::DOUBTFUL;
+use super::sweep::CERTAIN_MIN_EIGENVALUE;
 use crate::fit::linalg::dot;
 
 /// Workspace of the dual.
@@ -37,7 +37,7 @@ impl Dual {
             *square += self.residuals.chunks_exact(q).map(|e| dot(&e[first..], &e[first..])).sum::<f64>();
         }
         let trace: f64 = self.inverse.iter().step_by(q + 1).sum();
-        trace < q as f64 + 1.0 / DOUBTFUL
+        trace < q as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE
     }
 
     fn load(&mut self, nested: &Nested, rows: &[usize]) {
@@ -64,7 +64,7 @@ impl Dual {
             *w = dot(row, column);
         }
         let pivot = 1.0 - dot(w, column);
-        if pivot.is_nan() || pivot <= DOUBTFUL {
+        if pivot.is_nan() || pivot <= CERTAIN_MIN_EIGENVALUE {
             return false;
         }
         for (e, c) in residuals.chunks_exact_mut(q).zip(projection) {

@@ -8,19 +8,21 @@
 //! sum_{j <= l} u_j v_j
 //! ```
 //!
-//! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set. The second form
-//! of v has no cancellation.
+//! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set. The
+//! second form of v has no cancellation.
 //!
 //! * **Dual**, for small sets: `S_l = I - Q_K,l Q_K,l^T` loses one rank-one term a column. With `w = S_l-1^-1 q_l` and
 //!   `d = 1 - q_l . w`, which is the pivot `L_ll^2`,
 //!   `S_l^-1 = S_l-1^-1 + w w^T / d` and the prediction residuals become `e - w (c_l - q_l . e) / d`. The sums have no
 //!   cancellation.
-//! * **Neighbouring sets** share a [`Gram`](crate::holdout::gram::Gram) matrix: that of a pair is made from that of the pair before, of the next smaller
-//!   scheme around the same datum (ring by ring), or afresh, whichever differs in the fewest rows.
+//! * **Neighbouring sets** share a [`Gram`](crate::holdout::gram::Gram) matrix: that of a pair is made from that of the pair
+//!   before, from that of the next smaller scheme around the same datum (ring by ring), or afresh, whichever takes the
+//!   fewest rows.
 //! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. M squares singular values, so the
-//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see [`crate::holdout::rescue::double_double`]. The training
-//!   rows' triangle `L^T R`, with R the design's, decides on rank. Where Q itself has too few digits, at lambda_min near
-//!   rounding, the training rows are refitted, and their own triangle gives u and v for all l.
+//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see
+//!   [`crate::holdout::rescue::double_double`]. The training rows' triangle `L^T R`, with R the design's, decides on rank.
+//!   Where Q itself has too few digits, at lambda_min near rounding, the training rows are refitted, and their own
+//!   triangle gives u and v for all l.
 
 mod dual;
 mod rescue;
@@ -33,8 +35,8 @@ use crate::error::Error;
 use crate::fit::factor::{self, Factor, Problem, expect_length};
 use crate::fit::linalg;
 use crate::holdout::pairs::check_indices;
-use crate::holdout::rescue::double_double::{self, Doubles};
-use crate::near::neighbours::Around;
+use crate::holdout::rescue::double_double::{self, DdMatrix};
+use crate::near::neighbours::LazyNeighbourhoods;
 use crate::pool::Pool;
 use crate::sets::Sets;
 
@@ -53,15 +55,15 @@ pub struct Scheme<'a> {
 pub enum Held<'a> {
     /// Listed.
     Sets(&'a Sets),
-    /// Found around each datum when they are needed.
-    Around(&'a Around),
+    /// Neighbourhoods, found when they are needed.
+    Lazy(&'a LazyNeighbourhoods),
 }
 
 impl Held<'_> {
     fn len(self) -> usize {
         match self {
             Self::Sets(sets) => sets.len(),
-            Self::Around(around) => around.own.len(),
+            Self::Lazy(lazy) => lazy.singletons.len(),
         }
     }
 
@@ -69,7 +71,7 @@ impl Held<'_> {
     fn mean(self) -> f64 {
         match self {
             Self::Sets(sets) => sets.items.len() as f64 / sets.len().max(1) as f64,
-            Self::Around(around) => around.mean,
+            Self::Lazy(lazy) => lazy.mean,
         }
     }
 
@@ -79,12 +81,12 @@ impl Held<'_> {
                 out.clear();
                 out.extend_from_slice(sets.get(pair));
             }
-            Self::Around(around) => around.members(pair, out),
+            Self::Lazy(lazy) => lazy.members(pair, out),
         }
     }
 }
 
-/// What a scheme says of every model.
+/// One scheme's scores of every model.
 pub struct Curve {
     /// Sum of squared weighted prediction residuals, one a model; NaN where a pair is undefined.
     pub squares: Vec<f64>,
@@ -93,7 +95,7 @@ pub struct Curve {
 }
 
 /// The fit of one model.
-pub struct Fit {
+pub struct ModelFit {
     /// Sum of squared weighted residuals.
     pub squares: f64,
     /// Trace of the hat matrix: the effective number of parameters.
@@ -111,7 +113,7 @@ pub struct Nested {
     reduced: Option<(Vec<f64>, Vec<f64>)>,
     /// Weighted responses, rows x responses.
     right: Vec<f64>,
-    squares: OnceLock<Doubles>,
+    basis_gram: OnceLock<DdMatrix>,
 }
 
 impl Nested {
@@ -129,7 +131,7 @@ impl Nested {
         }
         kept.truncate(factor.rank);
         let right = factor::weighted_responses(problem, factor.responses);
-        Ok(Self { factor, kept, reduced, right, squares: OnceLock::new() })
+        Ok(Self { factor, kept, reduced, right, basis_gram: OnceLock::new() })
     }
 
     /// How many of the independent columns are among the first ones of the design.
@@ -141,18 +143,18 @@ impl Nested {
     }
 
     /// The fit of the models with these numbers of columns.
-    pub fn fits(&self, sizes: &[usize], pool: &Pool<'_>) -> Result<Vec<Fit>, Error> {
-        const ROWS: usize = 2000;
+    pub fn fits(&self, sizes: &[usize], pool: &Pool<'_>) -> Result<Vec<ModelFit>, Error> {
+        const FIT_ROWS: usize = 2000;
         let Factor { rank, rows, .. } = self.factor;
         let cuts = self.cuts(sizes)?;
         let width = rank + sizes.len();
-        let mut parts = vec![0.0; rows.div_ceil(ROWS) * width];
+        let mut parts = vec![0.0; rows.div_ceil(FIT_ROWS) * width];
         pool.run(
             parts.chunks_exact_mut(width.max(1)).enumerate(),
             || (),
             |(), (block, part)| {
                 let (leverage, squares) = part.split_at_mut(rank);
-                for i in block * ROWS..rows.min((block + 1) * ROWS) {
+                for i in block * FIT_ROWS..rows.min((block + 1) * FIT_ROWS) {
                     let q = self.factor.basis_row(i);
                     leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
                     for (c, b) in self.right_row(i).iter().enumerate() {
@@ -167,7 +169,7 @@ impl Nested {
             sums.iter_mut().zip(part).for_each(|(s, x)| *s += x);
         }
         let (leverage, squares) = sums.split_at(rank);
-        let fit = |(&cut, &squares): (&usize, &f64)| Fit {
+        let fit = |(&cut, &squares): (&usize, &f64)| ModelFit {
             squares,
             parameters: leverage[..cut].iter().sum(),
             rank: cut,
@@ -220,7 +222,7 @@ impl Nested {
         pool.run(
             tasks.iter_mut(),
             || Workspace::new(&sweep),
-            |workspace, task| workspace.walk(&sweep, task, pool),
+            |workspace, task| workspace.solve_task(&sweep, task, pool),
         )?;
         let mut found: Vec<Curve> = schemes
             .iter()
@@ -239,11 +241,11 @@ impl Nested {
     }
 
     /// `Q^T Q` in twice the digits, once some pair needs it.
-    fn squares(&self, pool: &Pool<'_>) -> Result<&Doubles, Error> {
-        if self.squares.get().is_none() {
-            drop(self.squares.set(doubled::squares(&self.factor.basis, self.factor.rank, pool)?));
+    fn basis_gram(&self, pool: &Pool<'_>) -> Result<&DdMatrix, Error> {
+        if self.basis_gram.get().is_none() {
+            drop(self.basis_gram.set(double_double::gram(&self.factor.basis, self.factor.rank, pool)?));
         }
-        self.squares.get().ok_or(Error::Interrupted)
+        self.basis_gram.get().ok_or(Error::Interrupted)
     }
 
     fn right_row(&self, i: usize) -> &[f64] {
@@ -251,7 +253,7 @@ impl Nested {
         &self.right[i * r..(i + 1) * r]
     }
 
-    /// The problem that was factored, of the one that came.
+    /// The problem of the independent columns, which was factored.
     fn independent<'a>(&'a self, problem: &'a Problem<'a>) -> Problem<'a> {
         match &self.reduced {
             Some(parts) => part(problem, parts, self.kept.len()),

@@ -2,21 +2,21 @@
 
 use std::sync::OnceLock;
 
-use super::sweep::{Last, Outcome, Sweep, Workspace};
+use super::sweep::{LastPair, Outcome, Sweep, Workspace};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
 use crate::fit::linalg::dot;
 use crate::holdout::probes::sign;
-use crate::holdout::rescue::double_double::{DoubledFactor, DoubledGram, Doubles};
+use crate::holdout::rescue::double_double::{DdFactor, DdGram, DdMatrix};
 use crate::holdout::rescue::refit::Refit;
 use crate::pool::Pool;
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
-const DOUBLED: f64 = 1e-12;
+const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
 
 /// Pairs close to rank loss that share matrices, at most.
-const RUN: usize = 64;
+const LONGEST_RUN: usize = 64;
 
 impl Sweep<'_> {
     /// The pairs close to rank loss, in runs that share matrices.
@@ -32,22 +32,22 @@ impl Sweep<'_> {
         }
         steps.sort_unstable();
         let factor = &self.nested.factor;
-        let squares = self.nested.squares(pool)?;
+        let basis_gram = self.nested.basis_gram(pool)?;
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let failure = OnceLock::new();
         let workspace = || Rescue {
             sweep: self,
             problem: self.nested.independent(problem),
-            squares,
+            basis_gram,
             plain: Workspace::new(self),
-            last: Last::default(),
-            factor: DoubledFactor::default(),
+            last: LastPair::default(),
+            factor: DdFactor::default(),
             refit: Refit::default(),
         };
-        let run = (steps.len() / 16).clamp(1, RUN);
+        let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
         pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
-            rescue.last.forget(self.rows.len());
-            rescue.last.gram.start(squares, factor.rank, factor.responses);
+            rescue.last.clear(self.rows.len());
+            rescue.last.gram.start(basis_gram, factor.rank, factor.responses);
             for (&(s, step), result) in steps.iter().zip(results) {
                 match rescue.solve((s, self.schemes[s].order[step]), pool) {
                     Ok(defined) => *result = (rescue.plain.curve.clone(), defined),
@@ -70,10 +70,10 @@ impl Sweep<'_> {
 struct Rescue<'a> {
     sweep: &'a Sweep<'a>,
     problem: Problem<'a>,
-    squares: &'a Doubles,
+    basis_gram: &'a DdMatrix,
     plain: Workspace,
-    last: Last<DoubledGram>,
-    factor: DoubledFactor,
+    last: LastPair<DdGram>,
+    factor: DdFactor,
     refit: Refit,
 }
 
@@ -81,10 +81,10 @@ impl Rescue<'_> {
     /// Fills the curve of a pair, and tells how many of the models are defined.
     fn solve(&mut self, pair: (usize, usize), pool: &Pool<'_>) -> Result<usize, Error> {
         let factor = &self.sweep.nested.factor;
-        self.plain.gather(self.sweep, pair);
+        self.plain.list_rows(self.sweep, pair);
         self.plain.curve.fill(0.0);
         let enough = factor.total_rows >= factor.rank + self.plain.rows.len();
-        if enough && self.doubled() >= DOUBLED {
+        if enough && self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
             match self.plain.cut(self.sweep, &self.factor.upper(), pool) {
                 Outcome::All => return Ok(self.sweep.cuts.len()),
                 Outcome::Leading(defined) => return Ok(defined),
@@ -95,12 +95,12 @@ impl Rescue<'_> {
     }
 
     /// As `Workspace::primal`, with twice the digits; an estimate of lambda_min(M).
-    fn doubled(&mut self) -> f64 {
+    fn double_double(&mut self) -> f64 {
         let Sweep { nested: Nested { factor, right, .. }, cuts, .. } = *self.sweep;
         let (rank, responses) = (factor.rank, factor.responses);
-        self.follow();
+        self.update_gram();
         let smallest = self.factor.factor(&self.last.gram);
-        if smallest < DOUBLED {
+        if smallest < DOUBLE_DOUBLE_MIN_EIGENVALUE {
             return 0.0;
         }
         let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
@@ -118,33 +118,33 @@ impl Rescue<'_> {
     }
 
     /// Turns the matrix into that of the pair at hand.
-    fn follow(&mut self) {
-        let Self { sweep, plain, last, squares, .. } = self;
+    fn update_gram(&mut self) {
+        let Self { sweep, plain, last, basis_gram, .. } = self;
         let factor = &sweep.nested.factor;
         let Workspace { members, stamps, now, slide, .. } = plain;
         slide.find(last, members, stamps, *now);
         if slide.len() > members.len() {
-            last.gram.start(squares, factor.rank, factor.responses);
+            last.gram.start(basis_gram, factor.rank, factor.responses);
             slide.removed.clear();
             slide.added.clone_from(members);
         }
         let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
         last.gram.change(&sweep.rows_of(&slide.added), -1.0, fetch);
         last.gram.change(&sweep.rows_of(&slide.removed), 1.0, fetch);
-        last.remember(members);
+        last.set_members(members);
     }
 
     /// From the training rows themselves.
     fn refitted(&mut self, pool: &Pool<'_>) -> Result<usize, Error> {
         let Self { sweep, problem, plain, refit, .. } = self;
         let factor = &sweep.nested.factor;
-        let leading = refit.lead(factor, problem, pool, &plain.rows)?;
+        let leading = refit.reduce_leading(factor, problem, pool, &plain.rows)?;
         let defined = sweep.cuts.partition_point(|&cut| cut <= leading);
         plain.curve[..defined].fill(0.0);
         plain.curve[defined..].fill(f64::NAN);
         for &i in &plain.rows[plain.rows.len() - plain.validated..] {
             for c in 0..factor.responses {
-                let (b, u, v) = refit.forward(factor, problem, i, c, leading)?;
+                let (b, u, v) = refit.forward_solve(factor, problem, i, c, leading)?;
                 add_squares([b], u.as_chunks().0, v, &sweep.cuts[..defined], &mut plain.curve);
             }
         }

@@ -1,4 +1,4 @@
-//! A walk through the pairs of schemes around the same data: each pair's matrix is made from the nearest that is known.
+//! Pairs of schemes around the same data, one after another: each pair's matrix is made from the most similar one known.
 
 use super::dual::Dual;
 use super::{Nested, Scheme, add_squares};
@@ -11,19 +11,19 @@ use crate::pool::Pool;
 use crate::sets::Sets;
 
 /// Below this lambda_min(M) a pair needs twice the digits.
-const SAFE: f64 = 2e-7;
+const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
 
-/// Below this lambda_min(M), training rows of an ill-conditioned design may have lost rank.
-pub(super) const DOUBTFUL: f64 = 1e-5;
+/// Above this lambda_min(M) the training rows have the rank of the design; below, those of an ill-conditioned one may not.
+pub(super) const CERTAIN_MIN_EIGENVALUE: f64 = 1e-5;
 
 /// Steps of a chain that share matrices; the next ones start afresh, so that rounding does not grow.
-const STEPS: usize = 64;
+const SHARED_STEPS: usize = 64;
 
 /// Multiply-adds of a task, so that none delays an interrupt.
-const TASK: f64 = 1e9;
+const TASK_COST: f64 = 1e9;
 
 /// Validated rows solved for together.
-const CARRIED: usize = 64;
+const CARRIED_ROWS: usize = 64;
 
 /// Schemes around the same data, those that hold out less first.
 pub(super) fn chains(schemes: &[Scheme<'_>]) -> Vec<Vec<usize>> {
@@ -57,12 +57,12 @@ pub(super) struct Task<'a> {
     pub(super) close: Vec<(usize, usize)>,
 }
 
-/// How much of a pair's curve the closed form gives.
+/// For which models the closed form solved a pair.
 pub(super) enum Outcome {
     All,
     /// This many models are defined, and no more.
     Leading(usize),
-    /// Too close to rank loss for this arithmetic.
+    /// None: too close to rank loss for this arithmetic.
     Close,
 }
 
@@ -75,17 +75,17 @@ pub(super) struct Sweep<'a> {
 }
 
 impl Sweep<'_> {
-    /// How many steps of a chain make a task: enough to share, not so many that threads idle or an interrupt waits. It depends
-    /// on the problem alone, and so do the results. A step changes about as many rows as there are data along the rim of
-    /// its neighbourhood; only the first takes them all.
+    /// How many steps of a chain make a task: enough to share matrices, not so many that threads idle or an interrupt
+    /// waits. It depends on the problem alone, and so do the results. A step changes about as many rows as there are
+    /// data along the rim of its neighbourhood; only the first takes them all.
     pub(super) fn steps(&self, chain: &[usize]) -> usize {
         let p = self.nested.factor.rank as f64;
         let length = self.schemes[chain[0]].order.len().max(1);
         let rim = |mean: f64| mean.min(3.0 * mean.sqrt());
         let coupling = self.nested.factor.rows as f64 / self.rows.len().max(1) as f64;
         let cost = |&s: &usize| p * p * (p / 6.0 + coupling * rim(self.schemes[s].held.mean()) / 2.0);
-        let most = (TASK / chain.iter().map(cost).sum::<f64>().max(1.0)) as usize;
-        (length / 32).clamp(8, STEPS).min(most).max(1)
+        let most = (TASK_COST / chain.iter().map(cost).sum::<f64>().max(1.0)) as usize;
+        (length / 32).clamp(8, SHARED_STEPS).min(most).max(1)
     }
 
     pub(super) fn rows_of(&self, data: &[usize]) -> Vec<usize> {
@@ -105,22 +105,22 @@ impl Sweep<'_> {
 
 /// The matrix of one scheme's last pair, and whose rows it left out.
 #[derive(Default)]
-pub(super) struct Last<G> {
+pub(super) struct LastPair<G> {
     pub(super) gram: G,
     pub(super) members: Vec<usize>,
     /// By datum, whether it is one of the members.
     pub(super) inside: Vec<bool>,
 }
 
-impl<G> Last<G> {
+impl<G> LastPair<G> {
     /// Nothing is held out of `count` data.
-    pub(super) fn forget(&mut self, count: usize) {
+    pub(super) fn clear(&mut self, count: usize) {
         self.members.clear();
         self.inside.clear();
         self.inside.resize(count, false);
     }
 
-    pub(super) fn remember(&mut self, members: &[usize]) {
+    pub(super) fn set_members(&mut self, members: &[usize]) {
         self.members.iter().for_each(|&datum| self.inside[datum] = false);
         members.iter().for_each(|&datum| self.inside[datum] = true);
         members.clone_into(&mut self.members);
@@ -129,18 +129,18 @@ impl<G> Last<G> {
 
 /// How one set of data becomes another.
 #[derive(Default)]
-pub(super) struct Change {
+pub(super) struct SetChange {
     pub(super) added: Vec<usize>,
     pub(super) removed: Vec<usize>,
 }
 
-impl Change {
+impl SetChange {
     pub(super) fn len(&self) -> usize {
         self.added.len() + self.removed.len()
     }
 
     /// From the members of `last` to those that bear the stamp `now` or a later one.
-    pub(super) fn find<G>(&mut self, last: &Last<G>, members: &[usize], stamps: &[u32], now: u32) {
+    pub(super) fn find<G>(&mut self, last: &LastPair<G>, members: &[usize], stamps: &[u32], now: u32) {
         self.added.clear();
         self.added.extend(members.iter().filter(|&&datum| !last.inside[datum]));
         self.removed.clear();
@@ -152,13 +152,13 @@ impl Change {
 pub(super) struct Workspace {
     pub(super) system: Bordered,
     /// One a scheme of the chain, and last an empty one.
-    pub(super) last: Vec<Last<Gram>>,
+    pub(super) last: Vec<LastPair<Gram>>,
     /// Data that the pair at hand holds out.
     pub(super) members: Vec<usize>,
     pub(super) stamps: Vec<u32>,
     pub(super) now: u32,
-    pub(super) slide: Change,
-    pub(super) ring: Change,
+    pub(super) slide: SetChange,
+    pub(super) ring: SetChange,
     /// Held-out rows of the pair at hand, the validated ones last.
     pub(super) rows: Vec<usize>,
     pub(super) validated: usize,
@@ -176,8 +176,8 @@ impl Workspace {
             members: Vec::new(),
             stamps: vec![0; sweep.rows.len()],
             now: 0,
-            slide: Change::default(),
-            ring: Change::default(),
+            slide: SetChange::default(),
+            ring: SetChange::default(),
             rows: Vec::new(),
             validated: 0,
             curve: vec![0.0; sweep.cuts.len()],
@@ -186,9 +186,9 @@ impl Workspace {
         }
     }
 
-    /// Goes through the steps of a task, all schemes of the chain at each.
-    pub(super) fn walk(&mut self, sweep: &Sweep<'_>, task: &mut Task<'_>, pool: &Pool<'_>) {
-        self.forget(sweep, task.chain.len());
+    /// Solves the steps of a task, all schemes of the chain at each.
+    pub(super) fn solve_task(&mut self, sweep: &Sweep<'_>, task: &mut Task<'_>, pool: &Pool<'_>) {
+        self.reset(sweep, task.chain.len());
         for step in task.steps.clone() {
             for (k, &s) in task.chain.iter().enumerate() {
                 let pair = sweep.schemes[s].order[step];
@@ -207,17 +207,17 @@ impl Workspace {
     }
 
     /// Starts afresh: nothing is held out.
-    fn forget(&mut self, sweep: &Sweep<'_>, schemes: usize) {
+    fn reset(&mut self, sweep: &Sweep<'_>, schemes: usize) {
         let Factor { rank, responses, .. } = sweep.nested.factor;
-        self.last.resize_with(schemes.max(self.last.len()), Last::default);
+        self.last.resize_with(schemes.max(self.last.len()), LastPair::default);
         for last in &mut self.last[..schemes] {
-            last.forget(sweep.rows.len());
+            last.clear(sweep.rows.len());
             last.gram.start(rank, responses);
         }
     }
 
     /// Lists what a pair holds out, and stamps it: validated data with a later stamp.
-    pub(super) fn gather(&mut self, sweep: &Sweep<'_>, (s, pair): (usize, usize)) {
+    pub(super) fn list_rows(&mut self, sweep: &Sweep<'_>, (s, pair): (usize, usize)) {
         let Scheme { held, validated, .. } = &sweep.schemes[s];
         let validated = validated.get(pair);
         held.members(pair, &mut self.members);
@@ -235,7 +235,7 @@ impl Workspace {
     /// Fills the curve of a pair, the k-th of its chain.
     fn solve(&mut self, sweep: &Sweep<'_>, pair: (usize, usize), k: usize, pool: &Pool<'_>) -> Outcome {
         let Nested { factor, .. } = sweep.nested;
-        self.gather(sweep, pair);
+        self.list_rows(sweep, pair);
         self.curve.fill(0.0);
         if self.rows.is_empty() {
             return Outcome::All;
@@ -258,12 +258,12 @@ impl Workspace {
             return Outcome::All;
         }
         self.curve.fill(0.0);
-        self.follow(sweep, k, inner);
+        self.update_gram(sweep, k, inner);
         self.primal(sweep, k, pool)
     }
 
-    /// Turns the k-th matrix into that of the pair at hand, from the nearest that is known.
-    fn follow(&mut self, sweep: &Sweep<'_>, k: usize, inner: bool) {
+    /// Turns the k-th matrix into that of the current pair, starting from the most similar one known.
+    fn update_gram(&mut self, sweep: &Sweep<'_>, k: usize, inner: bool) {
         let Nested { factor, .. } = sweep.nested;
         let Self { last, members, slide, ring, .. } = self;
         let (before, rest) = last.split_at_mut(k);
@@ -279,7 +279,7 @@ impl Workspace {
         let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
         last.gram.change(&sweep.rows_of(&change.added), -1.0, fetch);
         last.gram.change(&sweep.rows_of(&change.removed), 1.0, fetch);
-        last.remember(members);
+        last.set_members(members);
     }
 
     fn primal(&mut self, sweep: &Sweep<'_>, k: usize, pool: &Pool<'_>) -> Outcome {
@@ -288,11 +288,11 @@ impl Workspace {
         self.system.start_from(&self.last[k].gram, PROBES);
         set_probes(&mut self.system, rank, responses);
         let least = least_eigenvalue(&mut self.system, rank, responses);
-        if least < SAFE {
+        if least < PLAIN_MIN_EIGENVALUE {
             return Outcome::Close;
         }
         let Self { system, rows, validated, curve, forward, .. } = self;
-        for rows in rows[rows.len() - *validated..].chunks(CARRIED) {
+        for rows in rows[rows.len() - *validated..].chunks(CARRIED_ROWS) {
             system.carry(rows.iter().map(|&i| factor.basis_row(i)));
             for c in 0..responses {
                 system.forward_row(c, forward);
@@ -304,7 +304,11 @@ impl Workspace {
                 }
             }
         }
-        if least > DOUBTFUL { Outcome::All } else { self.cut(sweep, &self.system.upper(), pool) }
+        if least > CERTAIN_MIN_EIGENVALUE {
+            Outcome::All
+        } else {
+            self.cut(sweep, &self.system.upper(), pool)
+        }
     }
 
     /// Which models the training rows determine, by their triangle `L^T R`, given L^T.

@@ -6,7 +6,7 @@ pub mod refit;
 
 use std::sync::OnceLock;
 
-use self::refine::{Batch, refinable};
+use self::refine::{Refiner, refinable};
 use self::refit::Refit;
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
@@ -15,8 +15,8 @@ use crate::holdout::visit::{Plan, Slot};
 use crate::pool::Pool;
 
 impl Factor {
-    /// The pairs that the closed form left: refined in small batches, and refitted where that does not do, each a task
-    /// of its own, since it costs far more.
+    /// Solves the pairs that the closed form did not: refines them in small batches, and refits those for which that is
+    /// not enough, each as a task of its own since it costs far more.
     pub(super) fn rescue(
         &self,
         problem: &Problem<'_>,
@@ -40,7 +40,7 @@ impl Factor {
         let batch = plan.batch(self.rank);
         pool.run(
             left.chunks_mut(batch),
-            || (Batch::default(), (0..batch).map(|_| Workspace::default()).collect::<Vec<_>>()),
+            || (Refiner::default(), (0..batch).map(|_| Workspace::default()).collect::<Vec<_>>()),
             |(refining, workspaces), batch| {
                 // Once called off, nobody reads the result.
                 let _ = self.refine(plan, pairs, (refining, workspaces), batch, pool);
@@ -51,7 +51,7 @@ impl Factor {
             left.into_iter(),
             || (Refit::default(), Workspace::default()),
             |(refit, workspace), (pair, slot)| {
-                workspace.gather(pairs, &[pair]);
+                workspace.list_rows(pairs, &[pair]);
                 let kept = (&workspace.rows[..], workspace.validated);
                 slot.residuals.fill(f64::NAN);
                 match refit.predict(self, problem, pool, kept, slot.residuals) {
@@ -64,29 +64,29 @@ impl Factor {
         failure.into_inner().map_or(Ok(()), Err)
     }
 
-    /// Refines what can be, of a few pairs.
+    /// Refines those of a few pairs that can be refined.
     fn refine(
         &self,
         plan: &Plan,
         pairs: &Pairs<'_>,
-        (refining, workspaces): (&mut Batch, &mut [Workspace]),
+        (refining, workspaces): (&mut Refiner, &mut [Workspace]),
         batch: &mut [(usize, Slot<'_>)],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
-        let mut suspects = Vec::with_capacity(batch.len());
+        let mut near_singular = Vec::with_capacity(batch.len());
         let mut status = Vec::with_capacity(batch.len());
         for (workspace, (pair, slot)) in workspaces.iter_mut().zip(batch) {
-            workspace.gather(pairs, &[*pair]);
-            let suspect = workspace.suspect(self, plan.hat.as_ref(), slot.residuals);
-            if refinable(self, suspect.least) {
-                suspects.push(suspect);
+            workspace.list_rows(pairs, &[*pair]);
+            let pair = workspace.near_singular(self, plan.hat.as_ref(), slot.residuals);
+            if refinable(self, pair.least) {
+                near_singular.push(pair);
                 status.push(&mut *slot.status);
             }
         }
-        let good = refining.refine(self, pool, &mut suspects)?;
-        for ((status, suspect), good) in status.into_iter().zip(suspects).zip(good) {
+        let good = refining.refine(self, pool, &mut near_singular)?;
+        for ((status, pair), good) in status.into_iter().zip(near_singular).zip(good) {
             if good {
-                unweight(self, &suspect.rows[..suspect.validated], suspect.out);
+                unweight(self, &pair.rows[..pair.validated], pair.out);
                 *status = Some(Status::Refined);
             }
         }
