@@ -5,10 +5,10 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use mexpress::factor::{Factor, Problem};
-use mexpress::holdout::Pairs;
+use mexpress::fit::factor::{Factor, Problem};
+use mexpress::holdout::pairs::Pairs;
 use mexpress::pool::Pool;
-use mexpress::scheme::Sets;
+use mexpress::sets::Sets;
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 

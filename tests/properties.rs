@@ -3,10 +3,10 @@
 use std::sync::atomic::AtomicBool;
 
 use mexpress::error::Error;
-use mexpress::factor::{Factor, Problem};
-use mexpress::holdout::{Pairs, Predictions, Status};
+use mexpress::fit::factor::{Factor, Problem};
+use mexpress::holdout::pairs::{Pairs, Predictions, Status};
 use mexpress::pool::Pool;
-use mexpress::scheme::Sets;
+use mexpress::sets::Sets;
 use proptest::prelude::*;
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -256,6 +256,39 @@ proptest! {
         for k in 1..3 {
             prop_assert_eq!(bits(&fits[0].basis), bits(&fits[k].basis));
             prop_assert_eq!(&found[0], &found[k]);
+        }
+    }
+}
+
+/// A column that the training rows see at a fraction of its length, and weights that count whatever becomes of the pair.
+#[test]
+fn pairs_near_rank_loss_are_refits_too() {
+    let entry = |k: usize| ((k * 7919 + k * k % 104_729) % 1000) as f64 / 500.0 - 1.0;
+    let ways =
+        [(1.0, Status::Closed), (1e-4, Status::Refined), (1e-7, Status::Refitted), (0.0, Status::Undefined)];
+    for (fraction, status) in ways {
+        let second = |i: usize| [1.0, -2.0].get(i.wrapping_sub(18)).copied().unwrap_or(fraction * entry(i));
+        let case = Case {
+            rows: 20,
+            columns: 2,
+            responses: 2,
+            design: (0..20).flat_map(|i| [1.0, second(i)]).collect(),
+            targets: (0..40).map(|k| entry(k + 50)).collect(),
+            weights: (0..20).map(|i| 0.1 + 5.0 * (1.0 + entry(i + 100))).collect(),
+            penalty: Vec::new(),
+        };
+        let held: Sets = [vec![18, 19], vec![3, 18, 19], (3..20).collect()].into_iter().collect();
+        let found = case.predict(&case.fit(), &held, &held, 1);
+        assert_eq!(found.status, [status; 3]);
+        for pair in 0..3 {
+            let out = &found.residuals[2 * found.offsets[pair]..2 * found.offsets[pair + 1]];
+            let training: Vec<usize> = (0..20).filter(|i| !held.get(pair).contains(i)).collect();
+            let expected = case.residuals(&case.keep(&training).fit(), held.get(pair));
+            assert!(if fraction > 0.0 {
+                close(out, &expected, 1e-9)
+            } else {
+                out.iter().all(|e| e.is_nan())
+            });
         }
     }
 }

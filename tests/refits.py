@@ -252,6 +252,15 @@ def respond(A, labels, rng, responses=1, weighted=False, penalised=False) -> Pro
     return Problem(A, b[:, 0] if responses == 1 else b, labels, weights, penalty)
 
 
+def barely_of_full_rank(p: int, seed: int) -> Problem:
+    """Return a problem of 60 rows whose third and fourth column differ by rounding alone but for the last two rows."""
+    rng = np.random.default_rng(seed)
+    A, difference = rng.normal(size=(60, p)), 1e-4 * rng.normal(size=60)
+    difference[-2:] = [1.0, -2.0]
+    A[:, 3] = A[:, 2] + 1e-12 * difference
+    return Problem(A, rng.normal(size=60), np.arange(60))
+
+
 def every_scheme(points: Array, seed: int = 0) -> dict:
     """Return a scheme of each builder."""
     n, s = len(points), mx.schemes

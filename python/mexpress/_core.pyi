@@ -9,17 +9,17 @@ _Integers: TypeAlias = NDArray[np.int64]
 _Sets: TypeAlias = tuple[_Integers, _Integers]
 
 __all__ = [
-    "Around",
     "Factor",
+    "LazyNeighbourhoods",
     "Nested",
-    "along_curve",
-    "arrival",
     "find_not_finite",
+    "hilbert_order",
     "lloyd",
     "neighbours_delaunay",
     "neighbours_matched",
     "neighbours_nearest",
     "neighbours_within",
+    "place_by_residual",
     "spread",
 ]
 
@@ -63,30 +63,30 @@ class Nested:
     def fits(self, sizes: _Integers, threads: int) -> tuple[_Floats, _Floats, _Integers]: ...
     def curves(
         self,
-        schemes: Sequence[tuple[tuple[_Sets, _Sets] | Around, _Integers]],
+        schemes: Sequence[tuple[tuple[_Sets, _Sets] | LazyNeighbourhoods, _Integers]],
         rows: _Sets,
         sizes: _Integers,
         threads: int,
     ) -> list[tuple[_Floats, _Integers]]: ...
 
 @final
-class Around:
+class LazyNeighbourhoods:
     @staticmethod
-    def within(points: _Floats, radius: float) -> Around: ...
+    def within(points: _Floats, radius: float) -> LazyNeighbourhoods: ...
     @staticmethod
-    def nearest(points: _Floats, k: int) -> Around: ...
+    def nearest(points: _Floats, k: int) -> LazyNeighbourhoods: ...
     @property
     def mean(self) -> float: ...
 
 def find_not_finite(values: _Floats) -> tuple[int, int] | None: ...
-def along_curve(points: _Floats) -> _Integers: ...
+def hilbert_order(points: _Floats) -> _Integers: ...
 def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ...
 def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...
 def neighbours_matched(points: _Floats, queries: _Floats, most: int, threads: int) -> _Sets: ...
 def neighbours_delaunay(points: _Floats) -> _Sets: ...
 def lloyd(samples: _Floats, start: _Floats, max_steps: int, tolerance: float, threads: int) -> _Floats: ...
 def spread(samples: _Floats, draws: _Floats) -> _Integers: ...
-def arrival(
+def place_by_residual(
     points: _Floats,
     values: _Floats,
     first: tuple[int, int, int],

@@ -252,7 +252,7 @@ def residual_order(
         distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * size)
     first = _spread_triangle(points, distance, random)
     outputs = values.reshape(len(values), -1)
-    return _core.arrival(points, outputs, first, min(max_count, len(points)), distance, threads)
+    return _core.place_by_residual(points, outputs, first, min(max_count, len(points)), distance, threads)
 
 
 def _spread_triangle(points: Floats, distance: float, random: np.random.Generator) -> tuple[int, int, int]:

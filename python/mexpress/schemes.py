@@ -139,7 +139,7 @@ class LazyNeighbourhoods:
     """
 
     n_data: int
-    search: _core.Around
+    search: _core.LazyNeighbourhoods
     order: Integers
 
     def __repr__(self) -> str:
@@ -171,7 +171,7 @@ class Places:
     @cached_property
     def order(self) -> Integers:
         """The data in an order in which successive ones are near each other."""
-        return _core.along_curve(self.points)
+        return _core.hilbert_order(self.points)
 
     def within(self, radius: float, threads: int | None = None) -> Scheme:
         """List the neighbourhoods of `exclusion_radius`."""
@@ -198,12 +198,12 @@ class Places:
 
     def lazily_within(self, radius: float) -> LazyNeighbourhoods:
         """Find the neighbourhoods of `exclusion_radius` one by one."""
-        search = _core.Around.within(self.points, _checked_radius(radius))
+        search = _core.LazyNeighbourhoods.within(self.points, _checked_radius(radius))
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
     def lazily_nearest(self, k: int) -> LazyNeighbourhoods:
         """Find the neighbourhoods of `nearest` one by one."""
-        search = _core.Around.nearest(self.points, check.count(k, "k", 1, len(self.points)))
+        search = _core.LazyNeighbourhoods.nearest(self.points, check.count(k, "k", 1, len(self.points)))
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
     def _listed(self, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:

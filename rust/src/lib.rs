@@ -13,46 +13,48 @@
 //! * **Dual.** `I - H_KK = I - Q_K Q_K^T` is q x q for q held-out rows: cheap for small sets.
 //! * **Primal.** By the Woodbury identity `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K`, p x p: cheap for
 //!   large sets. The two cost the same at q = p.
-//! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout`].
-//! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border, see
-//!   [`cholesky`]; only the validated unknowns are solved for.
+//! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout::pairs`].
+//! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border,
+//!   see [`holdout::kernel`]; only the validated unknowns are solved for.
 //! * **Weights** scale rows by their roots; **penalty rows** Z extend A and are never held out, so Q is the top of the
 //!   basis of `[A; Z]` and nothing else changes.
-//! * **Nested models.** If Q is that of an unpivoted factorisation, leading blocks of M's factor belong to leading columns, and the
-//!   predictions of all leading models are cumulative sums, see [`nested`]. Neighbouring sets share M, see [`gram`].
-//! * **Rank loss.** `M = Q_-K^T Q_-K`, so a vanishing pivot means that the training rows no longer determine the model: the pair
-//!   is *undefined*. Near that, digits are lost, and [`refit`] or [`doubled`] brings them back.
+//! * **Nested models.** If Q is that of an unpivoted factorisation, leading blocks of M's factor belong to leading columns,
+//!   and the predictions of all leading models are cumulative sums, see [`holdout::nested`]. Neighbouring sets share M,
+//!   see [`holdout::gram`].
+//! * **Rank loss.** `M = Q_-K^T Q_-K`, so a vanishing pivot means that the training rows no longer determine the model: the
+//!   pair is *undefined*. Near that, digits are lost, and [`holdout::rescue`] brings them back.
 //!
 //! # The map
 //!
-//! | module | idea |
+//! | room | idea |
 //! |---|---|
-//! | [`factor`] | blocked Householder QR: basis, rank, coefficients, residuals, leverage |
-//! | [`holdout`] | held-out pairs: which method, and their predictions in parallel |
-//! | `plan` | pairs that nest are solved together |
-//! | [`nested`] | every leading model at once: whole curves for the price of one model |
-//! | [`gram`] | the matrix that neighbouring held-out sets share |
-//! | [`doubled`] | the same with twice the digits, for pairs close to rank loss |
-//! | [`cholesky`] | the kernel: Gram matrix, factorisation and solve in one recurrence |
-//! | `refine` | pairs close to rank loss: the closed form corrected, several at a time |
-//! | [`refit`] | pairs that may have lost rank: the training rows reduced anew |
-//! | [`neighbours`], [`delaunay`] | which data are near which |
-//! | [`matching`] | how many near data to hold out, so that predictions reach as far as the use wants |
-//! | [`curve`] | an order in which successive data are near each other |
-//! | [`placement`] | Lloyd's algorithm for control points |
-//! | [`arrival`] | control points that arrive where residuals are largest |
-//! | [`scheme`] | index sets in compressed rows |
+//! | [`fit::factor`] | blocked Householder QR: basis, rank, coefficients, residuals, leverage |
+//! | [`fit::linalg`] | dense factorisations; the only file that names faer |
+//! | [`holdout::pairs`] | held-out pairs: which method, and their predictions in parallel |
+//! | `holdout::visit` | pairs that nest are solved together |
+//! | [`holdout::kernel`] | Gram matrix, factorisation and solve in one recurrence |
+//! | [`holdout::nested`] | every leading model at once: whole curves for the price of one model |
+//! | [`holdout::gram`] | the matrix that neighbouring held-out sets share |
+//! | `holdout::rescue::refine` | pairs close to rank loss: the closed form corrected, several at a time |
+//! | [`holdout::rescue::double_double`] | the same with twice the digits, for nested models |
+//! | [`holdout::rescue::refit`] | pairs that may have lost rank: the training rows reduced anew |
+//! | [`near::neighbours`], [`near::delaunay`] | which data are near which |
+//! | [`near::distance_matching`] | how many near data to hold out, so that predictions reach as far as the use wants |
+//! | [`near::hilbert`] | an order in which successive data are near each other |
+//! | [`place::lloyd`] | Lloyd's algorithm for control points |
+//! | [`place::by_residual`] | control points that arrive where residuals are largest |
+//! | [`sets`] | index sets in compressed rows |
 //! | [`pool`] | threads, cancellation, `fork` |
-//! | [`linalg`] | dense factorisations; the only file that names faer |
-//! | `python` | the boundary; the only file that names PyO3 |
+//! | [`error`] | what can go wrong |
+//! | `python` | the boundary; the only folder that names PyO3 |
 //!
-//! Start at [`factor::Factor::new`] and [`factor::Factor::predict`].
+//! Start at [`fit::factor::Factor::new`] and [`fit::factor::Factor::predict`].
 //!
 //! ```
-//! use mexpress::factor::{Factor, Problem};
-//! use mexpress::holdout::Pairs;
+//! use mexpress::fit::factor::{Factor, Problem};
+//! use mexpress::holdout::pairs::Pairs;
 //! use mexpress::pool::Pool;
-//! use mexpress::scheme::Sets;
+//! use mexpress::sets::Sets;
 //!
 //! let never = std::sync::atomic::AtomicBool::new(false);
 //! let pool = Pool::new(1, &never);
@@ -78,28 +80,16 @@
 //!
 //! * Results are the same bit for bit for any number of threads.
 //! * No code here is `unsafe`; nothing panics on numbers, whatever they are.
-//! * No m x m matrix, unless m is small and it pays (see [`holdout`]).
+//! * No m x m matrix, unless m is small and it pays (see [`holdout::pairs`]).
 
 #![deny(missing_docs)]
 
-pub mod arrival;
-pub mod cholesky;
-pub mod curve;
-pub mod delaunay;
-pub mod doubled;
 pub mod error;
-pub mod factor;
-pub mod gram;
+pub mod fit;
 pub mod holdout;
-pub mod linalg;
-pub mod matching;
-pub mod neighbours;
-pub mod nested;
-pub mod placement;
-mod plan;
+pub mod near;
+pub mod place;
 pub mod pool;
 #[cfg(feature = "python")]
 mod python;
-mod refine;
-pub mod refit;
-pub mod scheme;
+pub mod sets;

@@ -11,6 +11,7 @@ from refits import (
     FAMILIES,
     Problem,
     b_spline,
+    barely_of_full_rank,
     every_scheme,
     lstsq_wide,
     make,
@@ -197,6 +198,71 @@ def test_training_rows_close_to_rank_loss(distance):
         assert np.abs(refit - expected).max() < 1e-10 * np.abs(expected).max()
         got = model.held_out_residuals(held)
         assert np.abs(got - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@needs_longdouble
+@pytest.mark.parametrize("distance", [1, 1e-4, 1e-7, 0], ids=["closed", "refined", "refitted", "undefined"])
+@pytest.mark.parametrize("responses", [1, 3])
+def test_weights_count_whatever_becomes_of_a_pair(distance, responses):
+    # As above, the pairs on each way through the core and beyond it.
+    rng = np.random.default_rng(0)
+    A = np.column_stack([np.ones(20), distance * rng.normal(size=20)])
+    A[-2:, 1] = [1.0, -2.0]
+    b, weights = rng.normal(size=(20, responses)), rng.uniform(0.1, 10, 20)
+    problem = Problem(A, b, np.arange(20), weights)
+    scheme = mx.schemes.from_sets([[18, 19], [3, 18, 19]], [[18, 19], [18]], n=20)
+    cv = quiet(problem.model(), scheme)
+    assert worst_error(problem, scheme, cv, wide=True) < 1e-9
+    if distance:
+        assert cv.score == pytest.approx(problem.score(scheme), rel=1e-7)
+
+
+@pytest.mark.parametrize("p", [5, 12])
+def test_rank_that_is_lost_to_rounding_alone(p):
+    # Two columns differ by 1e-12, and by rounding once the last two rows are gone: lambda_min(M) is 1e-6 or so and says
+    # nothing of that.
+    for seed in range(3):
+        problem = barely_of_full_rank(p, seed)
+        scheme = mx.schemes.from_sets([[58, 59], [3, 58, 59], [3]], n=60)
+        assert quiet(problem.model(), scheme).undefined.tolist() == [0, 1]
+        assert [problem.loses_rank(held) for held in scheme.held_out] == [True, True, False]
+
+
+@needs_longdouble
+@pytest.mark.parametrize("penalised", [False, True])
+@pytest.mark.parametrize("m", [511, 513, 1500])
+def test_refits_of_more_training_rows_than_are_reduced_at_a_time(m, penalised):
+    rng = np.random.default_rng(m)
+    A = np.column_stack([rng.normal(size=(m, 3)), 1e-7 * rng.normal(size=m)])
+    A[[2, m // 2], 3] = [1.0, -2.0]
+    b, weights = rng.normal(size=(m, 2)), rng.uniform(0.1, 10, m)
+    penalty = np.array([[0.1, 0.2, 0.3, 0.0]]) if penalised else None
+    problem = Problem(A, b, np.arange(m), weights, penalty)
+    scheme = mx.schemes.from_sets([[2, m // 2], [2, 7, m // 2, m - 1]], n=m)
+    assert worst_error(problem, scheme, problem.model().cross_validate(scheme), wide=True) < 1e-9
+
+
+@pytest.mark.parametrize("mean", [1e6, 1e9])
+def test_residuals_far_smaller_than_responses(mean):
+    # A constant column takes the mean; what is left is orthogonal to the design to its own digits, not to the mean's.
+    rng = np.random.default_rng(0)
+    A = np.column_stack([rng.normal(size=(5000, 4)), np.ones(5000)])
+    b = np.round(rng.normal(size=5000) * 2.0**20) / 2.0**20  # so that adding the mean is exact
+    residuals = mx.LeastSquares(A, b + mean).residuals
+    along = A.T @ residuals / np.linalg.norm(A, axis=0)
+    assert np.abs(along).max() < 1e-13 * np.linalg.norm(b)
+    np.testing.assert_allclose(residuals, mx.LeastSquares(A, b).residuals, atol=1e-13 * mean)
+
+
+@pytest.mark.parametrize(("m", "penalty_rows"), [(4000, 0), (400, 3600)])
+@pytest.mark.parametrize("ratio", [2e-13, 5e-12])
+def test_rank_of_many_rows_is_that_of_numpy(m, penalty_rows, ratio):
+    # What counts as rounding grows with the number of rows: here 9e-13 of the largest singular value.
+    rng = np.random.default_rng(0)
+    Q, V = np.linalg.qr(rng.normal(size=(m + penalty_rows, 5)))[0], np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    A = Q * [1, 1, 1, 1, ratio] @ V
+    model = mx.LeastSquares(A[:m], rng.normal(size=m), penalty=A[m:] if penalty_rows else None)
+    assert model.rank == np.linalg.matrix_rank(A) == 4 + (ratio > 1e-12)
 
 
 def refits(A, b, kept, held):

@@ -13,6 +13,7 @@ from refits import (
     COUPLINGS,
     Problem,
     b_spline,
+    barely_of_full_rank,
     every_scheme,
     label_rows,
     needs_longdouble,
@@ -491,6 +492,38 @@ def test_columns_that_are_nearly_lost(kind, least):
             assert ours.max() <= max(1e-8, 10 * plain.max()), (seed, held)
 
 
+@pytest.mark.parametrize("p", [5, 12])
+def test_rank_that_is_lost_to_rounding_alone(p):
+    for seed in range(3):
+        problem = barely_of_full_rank(p, seed)
+        schemes = {"lost": s.from_sets([[58, 59]], n=60), "kept": s.from_sets([[3]], n=60)}
+        found, expected = nested(problem, range(1, p + 1), schemes), [True] * 3 + [False] * (p - 3)
+        assert np.isfinite(found["lost"]).tolist() == expected
+        assert np.isfinite(problem.curve(range(1, p + 1), schemes["lost"])).tolist() == expected
+        assert np.isfinite(found["kept"]).all()
+
+
+@needs_longdouble
+@pytest.mark.parametrize("distance", [1, 1e-2, 1e-4, 1e-7, 0])
+@pytest.mark.parametrize("m", [40, 1200])
+def test_weights_count_whatever_becomes_of_a_pair(distance, m):
+    # The third column is seen at `distance` of its length without the last two rows: the pair is solved as it is, with
+    # twice the digits, or anew, or not at all.
+    rng = np.random.default_rng(0)
+    A, b, weights = rng.normal(size=(m, 5)), rng.normal(size=(m, 2)), rng.uniform(0.1, 10, m)
+    A[:, 2] *= distance
+    A[-2:, 2] = [1.0, -2.0]
+    held = np.array([m - 2, m - 1])
+    roots = np.sqrt(weights)[:-2, None]
+    scheme = {"": s.from_sets([held], n=m)}
+    found = mx.cross_validate_nested(A, b, range(1, 6), scheme, weights=weights)[""]
+    defined = 5 if distance else 2
+    e = b[-2:] - nested_refit_wide((A[:-2] * roots)[:, :defined], b[:-2] * roots, A[-2:, :defined])
+    expected = np.full(5, np.nan)
+    expected[:defined] = np.sqrt((weights[-2:, None] * e**2).sum(axis=(1, 2)) / weights[-2:].sum())
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
 @needs_longdouble
 @pytest.mark.parametrize(("order", "c"), [(10, 0.3), (30, 0.3), (60, 0.15), (60, 0.2)])
 def test_pivots_that_hide_the_conditioning(order, c):
@@ -505,6 +538,17 @@ def test_pivots_that_hide_the_conditioning(order, c):
     ours, plain = relative_errors(A, b, np.arange(order))
     assert plain.max() < 1e-10
     assert ours.max() < 1e-9
+
+
+def test_a_row_that_takes_over_little_by_little():
+    # No pivot is below a half, and yet the row has a leverage of 1 - 1e-9 at last.
+    rng = np.random.default_rng(0)
+    Q, row = np.linalg.qr(rng.normal(size=(100, 30)))[0], np.sqrt(2.0 ** np.arange(30))
+    b = rng.normal(size=101)
+    terms = row * (Q.T @ b[:100])
+    problem = Problem(np.vstack([Q, row]), b, np.arange(101))
+    found = nested(problem, range(1, 31), {"": s.from_sets([[100]], n=101)})[""]
+    assert (np.abs(found - np.abs(b[100] - np.cumsum(terms))) < 1e-9 * np.cumsum(np.abs(terms))).all()
 
 
 # ---------------------------------------------------------------------------------------------- any problem

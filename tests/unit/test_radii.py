@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import mexpress as mx
+from mexpress.placement import covered_region, lattice
 from mexpress.plotting import plot_radii
 from mexpress.radii import score_by_radius
 
@@ -36,6 +38,15 @@ def test_reach_is_how_far_the_domain_is_from_the_data():
     diagonal = np.hypot(*np.ptp(crowded, axis=0))
     middle = np.hypot(*(crowded - 0.55).T).min() / diagonal * 100
     assert uneven.max() == pytest.approx(middle, rel=0.3)
+
+
+def test_reach_of_many_data():
+    # Distances are taken to some thousand data at a time; the last few are in a corner.
+    points = np.random.default_rng(0).uniform(size=(9000, 2))
+    points = points[np.argsort(points.max(axis=1))]
+    curve = score_by_radius(model_of(points), points, diagonal=100.0, percents=[0])
+    queries = lattice(covered_region(points), 1000)
+    np.testing.assert_allclose(curve.reach, np.sort(cKDTree(points).query(queries)[0]), rtol=1e-12)
 
 
 def test_the_default_diagonal_is_that_of_the_bounding_box():

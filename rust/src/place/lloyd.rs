@@ -3,12 +3,12 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 use crate::pool::Pool;
 
 /// Samples that share a list of the centres that may be nearest to them: few, so that the list is short, but
 /// several groups, so that making it costs less than using it.
-const BLOCK: usize = 64;
+const BLOCK_SAMPLES: usize = 64;
 
 /// Samples compared with a centre at once: two of the widest vector registers.
 const LANES: usize = 16;
@@ -32,7 +32,7 @@ const ROUNDING: f64 = 1e-12;
 /// nothing moves. Fails if a length is odd or, naming the first of them, if some values are not finite.
 ///
 /// ```
-/// use mexpress::{placement::lloyd, pool::Pool};
+/// use mexpress::{place::lloyd::lloyd, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let region = [0.0, 0.0, 1.0, 0.0, 8.0, 0.0, 9.0, 0.0];
 /// let centres = lloyd(&region, &[0.0, 0.0, 1.0, 0.0], 100, 0.0, &Pool::new(1, &flag))?;
@@ -56,7 +56,7 @@ pub fn lloyd(
         return Ok(start.to_vec());
     }
     let scaled = |values: &[f64]| values.chunks_exact(2).map(|v| [v[0] * scale, v[1] * scale]).collect();
-    let mut cells = Cells::new(scaled(samples), scaled(start), BLOCK);
+    let mut cells = Cells::new(scaled(samples), scaled(start), BLOCK_SAMPLES);
     for _ in 0..max_steps {
         if cells.step(pool)? <= tolerance * scale {
             break;
@@ -72,7 +72,7 @@ pub fn lloyd(
 /// samples there are none; a sample is drawn twice only if no other is elsewhere. Fails as [`lloyd`] does.
 ///
 /// ```
-/// use mexpress::{placement::spread, pool::Pool};
+/// use mexpress::{place::lloyd::spread, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let places = [0.0, 0.0, 1.0, 0.0, 9.0, 0.0];
 /// assert_eq!(spread(&places, &[0.1, 0.2, 0.9], &Pool::new(1, &flag))?, [0, 2, 1]);
@@ -106,14 +106,14 @@ pub fn spread(samples: &[f64], draws: &[f64], pool: &Pool) -> Result<Vec<usize>,
 /// The first item at which the running sum of the weights exceeds a fraction of their total.
 fn pick(weights: &[f64], fraction: f64) -> usize {
     // Sums of blocks, so that the sum does not run over all of them.
-    let sums: Vec<f64> = weights.chunks(BLOCK).map(|part| part.iter().sum()).collect();
+    let sums: Vec<f64> = weights.chunks(BLOCK_SAMPLES).map(|part| part.iter().sum()).collect();
     let mut left = fraction * sums.iter().sum::<f64>();
     for (part, sum) in sums.iter().enumerate() {
         if *sum <= left {
             left -= sum;
             continue;
         }
-        for (i, weight) in weights.iter().enumerate().skip(part * BLOCK).take(BLOCK) {
+        for (i, weight) in weights.iter().enumerate().skip(part * BLOCK_SAMPLES).take(BLOCK_SAMPLES) {
             if *weight > left {
                 return i;
             }

@@ -14,9 +14,9 @@ use std::collections::BinaryHeap;
 use rstar::Point;
 
 use crate::error::Error;
-use crate::neighbours::{Search, all_nearest, places, scaled, tree, unit_scale};
+use crate::near::neighbours::{Search, all_nearest, places, scaled, tree, unit_scale};
 use crate::pool::Pool;
-use crate::scheme::Sets;
+use crate::sets::Sets;
 
 /// Queries a task looks after.
 const CHUNK: usize = 256;
@@ -28,10 +28,10 @@ const FIRST: usize = 16;
 /// rest are spread as those of `queries` to the points; sorted by index.
 ///
 /// Of points at the same distance those with smaller indices are held out first. Fails as
-/// [`nearest`](crate::neighbours::nearest) does, and if there are no queries.
+/// [`nearest`](crate::near::neighbours::nearest) does, and if there are no queries.
 ///
 /// ```
-/// use mexpress::{matching::matched, pool::Pool};
+/// use mexpress::{near::distance_matching::matched, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let points = [0.0, 1.0, 2.0, 3.0, 4.0];
 /// let sets = matched(&points, &[-2.0, 6.0], 1, 3, &Pool::new(1, &flag))?;

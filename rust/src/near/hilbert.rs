@@ -1,23 +1,23 @@
 //! Hilbert's curve: an order of points in which successive ones are near each other.
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 
 /// Steps of subdivision: cells of a 65,536th of the extent.
 const BITS: u32 = 16;
 
 /// The points' indices, sorted along a Hilbert curve through their bounding box.
 ///
-/// Points in one, two or three dimensions lie end to end in a slice; points of one cell are in the order of their indices. Fails
-/// as [`crate::neighbours::within`] does.
+/// Points in one, two or three dimensions lie end to end in a slice; points of one cell are in the order of their
+/// indices. Fails as [`crate::near::neighbours::within`] does.
 ///
 /// ```
-/// use mexpress::curve::along_curve;
+/// use mexpress::near::hilbert::hilbert_order;
 /// let corners = [0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0];
-/// assert_eq!(along_curve(&corners, 2)?, [0, 3, 1, 2]);
+/// assert_eq!(hilbert_order(&corners, 2)?, [0, 3, 1, 2]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn along_curve(points: &[f64], dimension: usize) -> Result<Vec<usize>, Error> {
+pub fn hilbert_order(points: &[f64], dimension: usize) -> Result<Vec<usize>, Error> {
     if !(1..=3).contains(&dimension) {
         return Err(Error::Dimension { given: dimension });
     }
@@ -84,7 +84,7 @@ mod tests {
             let points: Vec<f64> = (0..side.pow(dimension as u32))
                 .flat_map(|i| (0..dimension).map(move |axis| (i / side.pow(axis as u32) % side) as f64))
                 .collect();
-            let order = along_curve(&points, dimension).unwrap();
+            let order = hilbert_order(&points, dimension).unwrap();
             let place = |i: usize| &points[i * dimension..(i + 1) * dimension];
             for pair in order.windows(2) {
                 let steps: f64 = place(pair[0]).iter().zip(place(pair[1])).map(|(a, b)| (a - b).abs()).sum();

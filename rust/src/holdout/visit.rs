@@ -3,14 +3,14 @@
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::holdout::{Pairs, Status, check_indices};
-use crate::linalg;
+use crate::fit::factor::Factor;
+use crate::fit::linalg;
+use crate::holdout::pairs::{Pairs, Status, check_indices};
 use crate::pool::Pool;
-use crate::scheme::Sets;
+use crate::sets::Sets;
 
 /// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
-pub(crate) const CARRIED: usize = 4;
+pub(crate) const MOST_CARRIED: usize = 4;
 
 /// Chains around the same data that a set is compared with.
 const OPEN: usize = 4;
@@ -19,13 +19,13 @@ const OPEN: usize = 4;
 const HAT_ROWS: usize = 3000;
 
 /// Pairs close to rank loss that share a pass over the basis, and how many numbers their systems may have.
-const BATCH: usize = 16;
-const BATCH_SIZE: usize = 4_000_000;
+const BATCH_PAIRS: usize = 16;
+const BATCH_NUMBERS: usize = 4_000_000;
 
 /// What a pair costs beside its multiply-adds, in these.
 const OVERHEAD: f64 = 100.0;
 
-/// What to solve together, what it costs, and where its results go; known before anything is solved.
+/// What is solved together, what it costs, and where its results go; made before anything is solved.
 pub(crate) struct Plan {
     /// Pairs that share a factorisation, each inside the next. A single pair takes the cheaper of the two ways.
     pub runs: Sets,
@@ -76,7 +76,7 @@ impl Plan {
         let visits = visits(pairs.order, pairs.rows.len());
         let mut chains = chains(pairs.held, pairs.validated, &visits, pool)?;
         // Those that validate more than ride along are solved one by one.
-        chains.retain(|chain| offsets[chain[0] + 1] - offsets[chain[0]] <= CARRIED);
+        chains.retain(|chain| offsets[chain[0] + 1] - offsets[chain[0]] <= MOST_CARRIED);
         let (runs, cost) = schedule(&chains, &held, factor.rank, false);
         let (by_hat, cost_by_hat) = schedule(&chains, &held, factor.rank, true);
         let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
@@ -100,7 +100,7 @@ impl Plan {
         let (q, terms) = (self.largest, if self.hat.is_some() { 0 } else { rank });
         let (dual, primal) = costs(q, rank, self.hat.is_some());
         let system = if dual <= primal { q * (q + terms) } else { rank * (rank + q) };
-        (BATCH_SIZE / system.max(1)).clamp(1, BATCH)
+        (BATCH_NUMBERS / system.max(1)).clamp(1, BATCH_PAIRS)
     }
 
     /// Where every pair's results go, run after run.
@@ -225,10 +225,10 @@ fn inside(small: &[usize], large: &[usize]) -> bool {
 
 /// What is solved together, and the multiply-adds before each: of a chain as many of the smaller sets as is cheapest.
 fn schedule(chains: &[Vec<usize>], held: &[usize], rank: usize, hat: bool) -> (Sets, Vec<f64>) {
-    let gather = |pair: usize| (held[pair] * rank) as f64 + OVERHEAD;
+    let listing = |pair: usize| (held[pair] * rank) as f64 + OVERHEAD;
     let alone = |pair: usize| {
         let (dual, primal) = costs(held[pair], rank, hat);
-        dual.min(primal) + gather(pair)
+        dual.min(primal) + listing(pair)
     };
     let mut runs = Sets { offsets: vec![0], items: Vec::with_capacity(held.len()) };
     let mut cost = vec![0.0];
@@ -242,7 +242,7 @@ fn schedule(chains: &[Vec<usize>], held: &[usize], rank: usize, hat: bool) -> (S
         let (mut apart, mut best) = (0.0, (0.0, 0, 0.0));
         for (k, &pair) in chain.iter().enumerate() {
             apart += alone(pair);
-            let price = costs(held[pair], rank, hat).0 + gather(pair);
+            let price = costs(held[pair], rank, hat).0 + listing(pair);
             if apart - price > best.0 {
                 best = (apart - price, k + 1, price);
             }

@@ -1,8 +1,8 @@
 //! Twice the digits, for pairs close to rank loss: `I - Q_K^T Q_K` in double-double arithmetic, and its factor.
 //!
-//! M squares singular values, so that in plain arithmetic predictions lose 1 / lambda_min(M), twice the digits that a refit of the
-//! training rows does. With twice the digits to lose the closed form is as good as the refit, and its cost still does not depend
-//! on the number of training rows. Q is orthonormal to rounding only, hence `Q^T Q`, computed once, in place of I.
+//! M squares singular values, so that in plain arithmetic predictions lose 1 / lambda_min(M): twice the digits that a refit
+//! of the training rows loses. With twice the digits the closed form is as accurate as the refit, and its cost does not
+//! depend on the number of training rows. Q is orthonormal to rounding only, so `Q^T Q`, computed once, replaces I.
 //!
 //! A number is an unevaluated sum of two, hi + lo, as in Dekker (1971); sums of products are those of Ogita, Rump and Oishi,
 //! "Accurate sum and dot product" (SIAM J. Sci. Comput. 2005). Matrices are pairs of row-major squares, of which only the lower
@@ -18,12 +18,12 @@ const GROUP: usize = 4;
 
 /// A number with twice the digits.
 #[derive(Clone, Copy, Default)]
-struct Double {
+struct Dd {
     hi: f64,
     lo: f64,
 }
 
-impl Double {
+impl Dd {
     fn new(hi: f64) -> Self {
         Self { hi, lo: 0.0 }
     }
@@ -89,21 +89,21 @@ fn two_product(a: f64, b: f64) -> (f64, f64) {
 
 /// Parts hi and lo of many numbers.
 #[derive(Clone, Default)]
-pub struct Doubles {
+pub struct DdMatrix {
     hi: Vec<f64>,
     lo: Vec<f64>,
 }
 
-impl Doubles {
+impl DdMatrix {
     fn zeros(count: usize) -> Self {
         Self { hi: vec![0.0; count], lo: vec![0.0; count] }
     }
 
-    fn get(&self, i: usize) -> Double {
-        Double { hi: self.hi[i], lo: self.lo[i] }
+    fn get(&self, i: usize) -> Dd {
+        Dd { hi: self.hi[i], lo: self.lo[i] }
     }
 
-    fn set(&mut self, i: usize, value: Double) {
+    fn set(&mut self, i: usize, value: Dd) {
         (self.hi[i], self.lo[i]) = (value.hi, value.lo);
     }
 
@@ -120,8 +120,8 @@ impl Doubles {
 /// Numbers with twice the digits, side by side.
 type Pair<'a> = (&'a [f64], &'a [f64]);
 
-/// A vector's part in N inner products: sums, and the errors of sums and products. Everything is inlined by force: a call would
-/// leave the registers, and the instructions that the caller was compiled for.
+/// Adds one vector to N inner products: to the sums, and to the errors of sums and products. Everything is inlined by
+/// force: a call would leave the registers, and the instructions that the caller was compiled for.
 #[inline(always)]
 fn accumulate<S: Simd, const LOW: bool>(
     simd: S,
@@ -142,7 +142,7 @@ fn accumulate<S: Simd, const LOW: bool>(
 
 /// Inner products of `a` with each of `b`. Without `LOW` the parts lo are all zero.
 #[inline(always)]
-fn dots<S: Simd, const LOW: bool, const N: usize>(simd: S, a: Pair<'_>, b: [Pair<'_>; N]) -> [Double; N] {
+fn dots<S: Simd, const LOW: bool, const N: usize>(simd: S, a: Pair<'_>, b: [Pair<'_>; N]) -> [Dd; N] {
     let zero = simd.splat_f64s(0.0);
     let mut sums = [(zero, zero); N];
     let lanes = S::F64_LANES;
@@ -172,7 +172,7 @@ fn dots<S: Simd, const LOW: bool, const N: usize>(simd: S, a: Pair<'_>, b: [Pair
             sums[k] = accumulate::<S, LOW>(simd, left, right, sums[k]);
         }
     }
-    let mut totals = [Double::default(); N];
+    let mut totals = [Dd::default(); N];
     for k in 0..N {
         let (mut hi, mut lo) = ([0.0; 8], [0.0; 8]);
         simd.partial_store_f64s(&mut hi[..lanes], sums[k].0);
@@ -184,7 +184,7 @@ fn dots<S: Simd, const LOW: bool, const N: usize>(simd: S, a: Pair<'_>, b: [Pair
 
 /// Sum of eight numbers, in a tree: a chain would take longer than the products.
 #[inline(always)]
-fn total(mut hi: [f64; 8], lo: [f64; 8]) -> Double {
+fn total(mut hi: [f64; 8], lo: [f64; 8]) -> Dd {
     let mut low: f64 = lo.iter().sum();
     for half in [4, 2, 1] {
         for k in 0..half {
@@ -193,19 +193,23 @@ fn total(mut hi: [f64; 8], lo: [f64; 8]) -> Double {
             low += error;
         }
     }
-    Double::renormalised(hi[0], low)
+    Dd::renormalised(hi[0], low)
 }
 
 /// `Q^T Q` in twice the digits; Q is row-major.
-pub fn squares(basis: &[f64], order: usize, pool: &Pool<'_>) -> Result<Doubles, Error> {
-    const ROWS: usize = 1024;
-    let mut parts = vec![Doubles::default(); basis.len().div_ceil(ROWS * order.max(1))];
-    pool.run(parts.iter_mut().zip(basis.chunks(ROWS * order.max(1))), Vec::new, |columns, (part, block)| {
-        *part = Doubles::zeros(order * order);
-        transpose(block.chunks_exact(order), order, columns);
-        add_squares(part, columns, order, 1.0);
-    })?;
-    let mut sum = Doubles::zeros(order * order);
+pub fn gram(basis: &[f64], order: usize, pool: &Pool<'_>) -> Result<DdMatrix, Error> {
+    const GRAM_ROWS: usize = 1024;
+    let mut parts = vec![DdMatrix::default(); basis.len().div_ceil(GRAM_ROWS * order.max(1))];
+    pool.run(
+        parts.iter_mut().zip(basis.chunks(GRAM_ROWS * order.max(1))),
+        Vec::new,
+        |columns, (part, block)| {
+            *part = DdMatrix::zeros(order * order);
+            transpose(block.chunks_exact(order), order, columns);
+            add_products(part, columns, order, 1.0);
+        },
+    )?;
+    let mut sum = DdMatrix::zeros(order * order);
     for part in &parts {
         (0..order * order).for_each(|i| sum.set(i, sum.get(i).plus(part.get(i))));
     }
@@ -222,18 +226,18 @@ fn transpose<'a>(rows: impl ExactSizeIterator<Item = &'a [f64]>, order: usize, c
 }
 
 /// Adds the inner products of columns, times a sign, to the lower triangle of a matrix.
-fn add_squares(target: &mut Doubles, columns: &[f64], order: usize, sign: f64) {
-    Arch::new().dispatch(AddSquares { target, columns, order, sign });
+fn add_products(target: &mut DdMatrix, columns: &[f64], order: usize, sign: f64) {
+    Arch::new().dispatch(AddProducts { target, columns, order, sign });
 }
 
-struct AddSquares<'a> {
-    target: &'a mut Doubles,
+struct AddProducts<'a> {
+    target: &'a mut DdMatrix,
     columns: &'a [f64],
     order: usize,
     sign: f64,
 }
 
-impl WithSimd for AddSquares<'_> {
+impl WithSimd for AddProducts<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -246,32 +250,32 @@ impl WithSimd for AddSquares<'_> {
                 // What lies above the diagonal is computed and not used.
                 let others = std::array::from_fn(|k| column((first + k).min(order - 1)));
                 let products = dots::<S, false, GROUP>(simd, column(i), others);
-                for (k, Double { hi, lo }) in products.into_iter().enumerate().take(i + 1 - first) {
+                for (k, Dd { hi, lo }) in products.into_iter().enumerate().take(i + 1 - first) {
                     let at = i * order + first + k;
-                    target.set(at, target.get(at).plus(Double { hi: sign * hi, lo: sign * lo }));
+                    target.set(at, target.get(at).plus(Dd { hi: sign * hi, lo: sign * lo }));
                 }
             }
         }
     }
 }
 
-/// `Q^T Q - Q_K^T Q_K` above `-Q_K^T e_K`: what [`crate::gram::Gram`] is in plain arithmetic.
+/// `Q^T Q - Q_K^T Q_K` above `-Q_K^T e_K`: what [`crate::holdout::gram::Gram`] is in plain arithmetic.
 #[derive(Clone, Default)]
-pub struct DoubledGram {
+pub struct DdGram {
     order: usize,
-    matrix: Doubles,
+    matrix: DdMatrix,
     /// Responses x order.
-    right: Doubles,
+    right: DdMatrix,
     columns: Vec<f64>,
     responses: Vec<f64>,
 }
 
-impl DoubledGram {
+impl DdGram {
     /// Nothing held out.
-    pub fn start(&mut self, squares: &Doubles, order: usize, responses: usize) {
+    pub fn start(&mut self, squares: &DdMatrix, order: usize, responses: usize) {
         self.order = order;
         self.matrix.copy((&squares.hi, &squares.lo));
-        self.right = Doubles::zeros(order * responses);
+        self.right = DdMatrix::zeros(order * responses);
     }
 
     /// Holds rows out (sign -1) or takes them back in (1), each given by its entries and its right-hand sides.
@@ -282,35 +286,35 @@ impl DoubledGram {
         }
         transpose(rows.iter().map(|&i| fetch(i).0), *order, columns);
         transpose(rows.iter().map(|&i| fetch(i).1), right.hi.len() / *order, responses);
-        add_squares(matrix, columns, *order, sign);
+        add_products(matrix, columns, *order, sign);
         for (c, e) in responses.chunks_exact(rows.len()).enumerate() {
             for (j, column) in columns.chunks_exact(rows.len()).enumerate() {
-                let Double { hi, lo } = dot((column, &[]), (e, &[]));
+                let Dd { hi, lo } = Arch::new().dispatch(Dot { a: column, b: e });
                 let at = c * *order + j;
-                right.set(at, right.get(at).plus(Double { hi: sign * hi, lo: sign * lo }));
+                right.set(at, right.get(at).plus(Dd { hi: sign * hi, lo: sign * lo }));
             }
         }
     }
 }
 
-/// The Cholesky factor of a [`DoubledGram`], and forward solves.
+/// The Cholesky factor of a [`DdGram`], and forward solves.
 #[derive(Default)]
-pub struct DoubledFactor {
+pub struct DdFactor {
     order: usize,
-    lower: Doubles,
-    inverse_pivots: Doubles,
+    lower: DdMatrix,
+    inverse_pivots: DdMatrix,
     /// `L^-1 (-Q_K^T e_K)`, responses x order.
-    right: Doubles,
-    row: Doubles,
+    right: DdMatrix,
+    row: DdMatrix,
 }
 
-impl DoubledFactor {
+impl DdFactor {
     /// Factors; returns the smallest pivot, or zero where one is not positive.
-    pub fn factor(&mut self, gram: &DoubledGram) -> f64 {
+    pub fn factor(&mut self, gram: &DdGram) -> f64 {
         let order = gram.order;
         self.order = order;
         self.lower.copy((&gram.matrix.hi, &gram.matrix.lo));
-        self.inverse_pivots = Doubles::zeros(order);
+        self.inverse_pivots = DdMatrix::zeros(order);
         let Self { lower, inverse_pivots, right, row, .. } = self;
         let smallest = Arch::new().dispatch(Cholesky { lower, inverse_pivots, order });
         if smallest > 0.0 {
@@ -339,58 +343,48 @@ impl DoubledFactor {
     /// `L^T c + L^-1 (-Q_K^T e_K)` of a response, whose c is given.
     pub fn projection(&self, response: usize, c: &[f64], out: &mut Vec<f64>) {
         let order = self.order;
-        let mut sums: Vec<Double> = (0..order).map(|j| self.right.get(response * order + j)).collect();
+        let mut sums: Vec<Dd> = (0..order).map(|j| self.right.get(response * order + j)).collect();
         for (i, &c) in c.iter().enumerate() {
             for (j, sum) in sums[..=i].iter_mut().enumerate() {
-                *sum = sum.plus(self.lower.get(i * order + j).times(Double::new(c)));
+                *sum = sum.plus(self.lower.get(i * order + j).times(Dd::new(c)));
             }
         }
         out.clear();
         out.extend(sums.iter().map(|sum| sum.hi));
     }
 
-    /// `L^-1 x` of a plain row, and its product with the right-hand side's forward solve.
-    pub fn forward(&mut self, row: &[f64], response: usize) -> (&[f64], f64) {
-        let Self { order, lower, inverse_pivots, right, row: x } = self;
+    /// `L^-1 x` of a plain row.
+    pub fn forward(&mut self, row: &[f64]) -> &[f64] {
+        let Self { lower, inverse_pivots, row: x, .. } = self;
         x.hi.clear();
         x.hi.extend_from_slice(row);
         x.lo.clear();
         x.lo.resize(row.len(), 0.0);
         Arch::new().dispatch(Substitute { lower, inverse_pivots, x });
-        let part = response * *order..(response + 1) * *order;
-        let product = dot((&x.hi, &x.lo), (&right.hi[part.clone()], &right.lo[part]));
-        (&self.row.hi, product.hi)
+        &self.row.hi
     }
 }
 
-/// One inner product; the parts lo may be left out if they are zero.
-fn dot(a: Pair<'_>, b: Pair<'_>) -> Double {
-    Arch::new().dispatch(Dot { a, b })
-}
-
+/// One inner product of plain numbers.
 struct Dot<'a> {
-    a: Pair<'a>,
-    b: Pair<'a>,
+    a: &'a [f64],
+    b: &'a [f64],
 }
 
 impl WithSimd for Dot<'_> {
-    type Output = Double;
+    type Output = Dd;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Double {
-        let [product] = if self.a.1.is_empty() {
-            dots::<S, false, 1>(simd, self.a, [self.b])
-        } else {
-            dots::<S, true, 1>(simd, self.a, [self.b])
-        };
+    fn with_simd<S: Simd>(self, simd: S) -> Dd {
+        let [product] = dots::<S, false, 1>(simd, (self.a, &[]), [(self.b, &[])]);
         product
     }
 }
 
 /// Turns a lower triangle into its factor; returns the smallest pivot.
 struct Cholesky<'a> {
-    lower: &'a mut Doubles,
-    inverse_pivots: &'a mut Doubles,
+    lower: &'a mut DdMatrix,
+    inverse_pivots: &'a mut DdMatrix,
     order: usize,
 }
 
@@ -437,9 +431,9 @@ impl WithSimd for Cholesky<'_> {
 
 /// `x <- L^-1 x`.
 struct Substitute<'a> {
-    lower: &'a Doubles,
-    inverse_pivots: &'a Doubles,
-    x: &'a mut Doubles,
+    lower: &'a DdMatrix,
+    inverse_pivots: &'a DdMatrix,
+    x: &'a mut DdMatrix,
 }
 
 impl WithSimd for Substitute<'_> {
@@ -475,13 +469,13 @@ mod tests {
             let basis: Vec<f64> =
                 (0..rows).flat_map(|i| (0..order.min(2)).map(move |j| entry(i, j))).collect();
             let order = order.min(2);
-            let squares = squares(&basis, order, &pool).unwrap();
-            let mut gram = DoubledGram::default();
-            gram.start(&squares, order, 1);
+            let basis_gram = super::gram(&basis, order, &pool).unwrap();
+            let mut gram = DdGram::default();
+            gram.start(&basis_gram, order, 1);
             let fetch = |i: usize| (&basis[i * order..(i + 1) * order], &[1.0][..]);
             gram.change(&[0, 1, 2], -1.0, fetch);
             gram.change(&[1, 2], 1.0, fetch);
-            let mut factor = DoubledFactor::default();
+            let mut factor = DdFactor::default();
             assert!(factor.factor(&gram) > 0.0);
             // Exactly: the second pivot is the squared distance of the second column to the first.
             let column = |j: usize| (1..rows).map(move |i| (entry(i, 0), entry(i, j)));
@@ -490,16 +484,16 @@ mod tests {
             let distance: f64 = column(1).map(|(a, b)| ((b - a) - slope * a).powi(2)).sum();
             let upper = factor.upper();
             assert!((upper[3] / distance.sqrt() - 1.0).abs() < 1e-6);
-            assert!((factor.forward(&[0.0, 1.0], 0).0[1] * upper[3] - 1.0).abs() < 1e-12);
+            assert!((factor.forward(&[0.0, 1.0])[1] * upper[3] - 1.0).abs() < 1e-12);
         }
     }
 
     #[test]
     fn products_and_roots_have_twice_the_digits() {
-        let third = Double::new(3.0).reciprocal();
-        let one = third.times(Double::new(3.0)).minus(Double::new(1.0));
+        let third = Dd::new(3.0).reciprocal();
+        let one = third.times(Dd::new(3.0)).minus(Dd::new(1.0));
         assert!(one.hi.abs() < 1e-31);
-        let root = Double::new(2.0).root();
-        assert!(root.times(root).minus(Double::new(2.0)).hi.abs() < 1e-30);
+        let root = Dd::new(2.0).root();
+        assert!(root.times(root).minus(Dd::new(2.0)).hi.abs() < 1e-30);
     }
 }

@@ -18,11 +18,11 @@ use std::array;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
-use crate::neighbours::unit_scale;
+use crate::near::neighbours::unit_scale;
 use crate::pool::Pool;
 
 /// Rows of a block: a block of two hundred columns stays in the cache of a core.
-const ROWS: usize = 512;
+const BLOCK_ROWS: usize = 512;
 
 /// Columns multiplied at a time, so that sums do not wait for each other.
 const COLUMNS: usize = 8;
@@ -53,16 +53,16 @@ const TIED: f64 = 1e-9;
 /// a line.
 ///
 /// ```
-/// use mexpress::{arrival::arrival, pool::Pool};
+/// use mexpress::{place::by_residual::place_by_residual, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// // A square and its middle, which is 1 above the plane of the corners.
 /// let points = [0.0, 0.0, 2.0, 0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 1.0];
 /// let values = [0.0, 0.0, 0.0, 0.0, 1.0];
-/// let chosen = arrival(&points, &values, [0, 1, 2], 4, 0.1, &Pool::new(1, &flag))?;
+/// let chosen = place_by_residual(&points, &values, [0, 1, 2], 4, 0.1, &Pool::new(1, &flag))?;
 /// assert_eq!(chosen, [0, 1, 2, 4]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn arrival(
+pub fn place_by_residual(
     points: &[f64],
     values: &[f64],
     first: [usize; 3],
@@ -74,7 +74,7 @@ pub fn arrival(
     let mut chosen = first.to_vec();
     while chosen.len() < max_count {
         let Some(next) = sweep.worst() else { break };
-        if sweep.bend(next)? {
+        if sweep.add_control_point(next)? {
             chosen.push(next);
         }
     }
@@ -140,10 +140,10 @@ impl<'a> Sweep<'a> {
             return Err(Error::Collinear { first });
         }
         let blocks = points
-            .chunks(ROWS)
+            .chunks(BLOCK_ROWS)
             .enumerate()
             .map(|(b, places)| {
-                let rows = b * ROWS * outputs..(b * ROWS + places.len()) * outputs;
+                let rows = b * BLOCK_ROWS * outputs..(b * BLOCK_ROWS + places.len()) * outputs;
                 Block::new(places, &values[rows], scale)
             })
             .collect();
@@ -151,7 +151,7 @@ impl<'a> Sweep<'a> {
         let mut sweep = Self { pool, points, corners, limit, rounding, blocks, columns: 0, last: None };
         sweep.pass(|block| {
             block.fill_kernels(corners);
-            corners.iter().for_each(|&corner| block.close(corner, limit));
+            corners.iter().for_each(|&corner| block.exclude_near(corner, limit));
         })?;
         sweep.add(|block| block.column.fill(1.0))?;
         sweep.add(|block| block.column.copy_from_slice(&block.x))?;
@@ -168,18 +168,18 @@ impl<'a> Sweep<'a> {
         let tied = (largest * (1.0 - TIED)).powi(2);
         let block = self.blocks.iter().position(|block| block.largest >= tied)?;
         let row = self.blocks[block].squares.iter().position(|square| *square >= tied)?;
-        Some(block * ROWS + row)
+        Some(block * BLOCK_ROWS + row)
     }
 
     /// Adds the function of a control point; false if it depends on those before. Either way the data around it are no
     /// candidates any more.
-    fn bend(&mut self, index: usize) -> Result<bool, Error> {
+    fn add_control_point(&mut self, index: usize) -> Result<bool, Error> {
         let (centre, [a, b, c], limit) = (self.points[index], self.corners, self.limit);
         let part = |triangle| doubled_area(triangle) / doubled_area(self.corners);
         let (second, third) = (part([a, centre, c]), part([a, b, centre]));
         let weights = [1.0 - second - third, second, third];
         self.add(|block| {
-            block.close(centre, limit);
+            block.exclude_near(centre, limit);
             block.fill(centre, weights);
         })
     }
@@ -191,7 +191,7 @@ impl<'a> Sweep<'a> {
         let columns = self.columns;
         let whole = self.pass(|block| {
             if let Some(last) = &last {
-                block.settle(last);
+                block.join_basis(last);
             }
             fill(block);
             block.project();
@@ -201,14 +201,14 @@ impl<'a> Sweep<'a> {
             block.project();
         })?;
         let last = Remainder::new(&once, columns, whole[columns]);
-        self.pass(|block| block.judge(last.as_ref()))?;
+        self.pass(|block| block.square_residuals(last.as_ref()))?;
         self.last = last;
         Ok(self.last.is_some())
     }
 
     /// Does the work on every block; the total of what the blocks leave in `sums`.
     fn pass(&mut self, work: impl Fn(&mut Block) + Sync) -> Result<Vec<f64>, Error> {
-        let blocks_a_task = TASK.div_ceil(ROWS * (self.columns + 1));
+        let blocks_a_task = TASK.div_ceil(BLOCK_ROWS * (self.columns + 1));
         self.pool.run(
             self.blocks.chunks_mut(blocks_a_task),
             || (),
@@ -303,8 +303,8 @@ impl Block {
         }
     }
 
-    /// Data that are not farther than the limit are candidates no more.
-    fn close(&mut self, centre: [f64; 2], limit: f64) {
+    /// Data that are not farther than the limit are no longer candidates.
+    fn exclude_near(&mut self, centre: [f64; 2], limit: f64) {
         for ((open, x), y) in self.open.iter_mut().zip(&self.x).zip(&self.y) {
             *open = if squared_distance([*x, *y], centre) > limit { *open } else { 0.0 };
         }
@@ -332,7 +332,7 @@ impl Block {
     }
 
     /// The column that was added last becomes orthogonal for good, joins the basis and leaves the residuals.
-    fn settle(&mut self, last: &Remainder) {
+    fn join_basis(&mut self, last: &Remainder) {
         let rows = self.column.len();
         self.subtract(&last.products);
         for value in &mut self.column {
@@ -345,7 +345,7 @@ impl Block {
     }
 
     /// How large the candidates' residuals are once the new column has left them.
-    fn judge(&mut self, last: Option<&Remainder>) {
+    fn square_residuals(&mut self, last: Option<&Remainder>) {
         self.squares.fill(0.0);
         for (output, residuals) in self.residuals.chunks_exact(self.column.len()).enumerate() {
             let factor = last.map_or(0.0, |last| last.coefficients[output] * last.unit);
@@ -466,7 +466,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::factor::{Factor, Problem};
+    use crate::fit::factor::{Factor, Problem};
 
     fn run(
         points: &[f64],
@@ -476,7 +476,7 @@ mod tests {
         distance: f64,
     ) -> Result<Vec<usize>, Error> {
         let flag = AtomicBool::new(false);
-        arrival(points, values, first, count, distance, &Pool::new(1, &flag))
+        place_by_residual(points, values, first, count, distance, &Pool::new(1, &flag))
     }
 
     fn at(points: &[f64], i: usize) -> [f64; 2] {
@@ -574,8 +574,9 @@ mod tests {
     fn threads_do_not_matter() {
         let (points, values) = waves(70);
         let flag = AtomicBool::new(false);
-        let chosen =
-            |threads| arrival(&points, &values, [0, 69, 4830], 60, 1.0, &Pool::new(threads, &flag)).unwrap();
+        let chosen = |threads| {
+            place_by_residual(&points, &values, [0, 69, 4830], 60, 1.0, &Pool::new(threads, &flag)).unwrap()
+        };
         assert_eq!(chosen(1).len(), 60);
         assert_eq!(chosen(1), chosen(2));
         assert_eq!(chosen(1), chosen(7));
@@ -634,7 +635,7 @@ mod tests {
     fn the_work_can_be_called_off() {
         let (points, values) = waves(12);
         let flag = AtomicBool::new(true);
-        let result = arrival(&points, &values, [0, 11, 132], 20, 0.5, &Pool::new(2, &flag));
+        let result = place_by_residual(&points, &values, [0, 11, 132], 20, 0.5, &Pool::new(2, &flag));
         assert_eq!(result, Err(Error::Interrupted));
     }
 }

@@ -60,11 +60,11 @@ pub fn reflector_size(rows: usize, columns: usize) -> usize {
 
 /// Most columns factored, or multiplied, between two looks at whether the work has been called off; fewer where each
 /// takes long.
-const PANEL: usize = 128;
+const MOST_COLUMNS: usize = 128;
 
 /// Columns that take some hundredths of a second together when one of them takes `cost` multiply-adds.
 fn short_run(cost: usize) -> usize {
-    (100_000_000 / cost.max(1)).clamp(1, PANEL)
+    (100_000_000 / cost.max(1)).clamp(1, MOST_COLUMNS)
 }
 
 /// Householder QR: R replaces the upper triangle of `a`, the reflectors the rest and `reflectors`.
@@ -82,7 +82,7 @@ pub fn qr_in_place(
     let mut h = MatMut::from_column_major_slice_mut(reflectors, block, size);
     let stack = MemStack::new(&mut scratch.memory);
     // Panels of whole blocks leave the reflectors as one call would.
-    let step = short_run(rows * PANEL / 2).next_multiple_of(block);
+    let step = short_run(rows * MOST_COLUMNS / 2).next_multiple_of(block);
     for first in (0..size).step_by(step) {
         let width = step.min(size - first);
         let (mut panel, mut rest) = a.rb_mut().get_mut(first.., first..).split_at_col_mut(width);

@@ -11,13 +11,13 @@ use rstar::{ParentNode, Point, PointDistance, RTree, RTreeNode};
 
 use crate::error::Error;
 use crate::pool::Pool;
-use crate::scheme::{MOST_MEMBERS, Sets};
+use crate::sets::{MOST_MEMBERS, Sets};
 
 /// Points a task looks after: enough to hide the queue, few enough to balance crowded and sparse regions.
 const CHUNK: usize = 256;
 
-/// Candidates gathered before the nearest are told from the others, as a multiple of how many are wanted.
-const SLACK: usize = 2;
+/// Candidates listed before the nearest are told from the others, as a multiple of how many are wanted.
+const CANDIDATES: usize = 2;
 
 /// For every point, the points within `radius` of it, itself included, sorted by index.
 ///
@@ -25,7 +25,7 @@ const SLACK: usize = 2;
 /// there are not one to three of them per point, or, naming the first of them, if some are not finite.
 ///
 /// ```
-/// use mexpress::{neighbours::within, pool::Pool};
+/// use mexpress::{near::neighbours::within, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let sets = within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0, &Pool::new(1, &flag))?;
 /// assert_eq!(sets.get(0), &[0, 2]);
@@ -43,12 +43,12 @@ pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Res
 
 /// For every point, itself and its `k - 1` nearest others, sorted by index.
 ///
-/// Of points at the same distance those with smaller indices are taken, but a point always belongs to its own
+/// Of points at the same distance those with smaller indices are taken, but a point always belongs to its singletons
 /// set, however many coincide with it. Fails as [`within`] does, and if `k` is zero or above the number of
 /// points.
 ///
 /// ```
-/// use mexpress::{neighbours::nearest, pool::Pool};
+/// use mexpress::{near::neighbours::nearest, pool::Pool};
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let corners = [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0];
 /// let sets = nearest(&corners, 2, 2, &Pool::new(1, &flag))?;
@@ -160,18 +160,18 @@ where
 /// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
 ///
 /// ```
-/// use mexpress::neighbours::Around;
-/// let around = Around::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0)?;
+/// use mexpress::near::neighbours::LazyNeighbourhoods;
+/// let lazy = LazyNeighbourhoods::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0)?;
 /// let mut members = Vec::new();
-/// around.members(2, &mut members);
+/// lazy.members(2, &mut members);
 /// members.sort();
 /// assert_eq!(members, [0, 2, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub struct Around {
+pub struct LazyNeighbourhoods {
     index: Index,
     /// Each point alone.
-    pub own: Sets,
+    pub singletons: Sets,
     /// About how many members a neighbourhood has.
     pub mean: f64,
 }
@@ -197,7 +197,7 @@ enum Reach {
     Nearest(usize, Sets),
 }
 
-impl Around {
+impl LazyNeighbourhoods {
     /// Neighbourhoods of all points within a radius, as [`within`] lists them.
     pub fn within(points: &[f64], dimension: usize, radius: f64) -> Result<Self, Error> {
         let scale = checked_scale(points, dimension)?;
@@ -225,15 +225,15 @@ impl Around {
 
     fn new(index: Index, count: usize) -> Self {
         const SAMPLES: usize = 64;
-        let own = Sets { offsets: (0..=count).collect(), items: (0..count).collect() };
-        let mut around = Self { index, own, mean: 0.0 };
+        let singletons = Sets { offsets: (0..=count).collect(), items: (0..count).collect() };
+        let mut lazy = Self { index, singletons, mean: 0.0 };
         let mut members = Vec::new();
         let sampled: Vec<usize> = (0..count).step_by(count.div_ceil(SAMPLES).max(1)).collect();
         for &i in &sampled {
-            around.members(i, &mut members);
-            around.mean += members.len() as f64 / sampled.len() as f64;
+            lazy.members(i, &mut members);
+            lazy.mean += members.len() as f64 / sampled.len() as f64;
         }
-        around
+        lazy
     }
 
     /// Replaces `out` by the neighbourhood of point `i`, in no order.
@@ -292,7 +292,7 @@ pub(crate) fn all_nearest<const N: usize>(
 where
     [f64; N]: Point<Scalar = f64>,
 {
-    // A tree of places, not of points: a query would visit every point that coincides with its own.
+    // A tree of places, not of points: a query would visit every point that coincides with its singletons.
     let (distinct, members) = places(points);
     let tree = tree(&distinct);
     let total = sizes.iter().fold(0, |total: usize, &k| total.saturating_add(k));
@@ -328,7 +328,7 @@ where
     Ok(Sets { offsets, items })
 }
 
-/// Depth first, the nearer branches first. The tree's own iterator takes twice the time, and keeps all ties.
+/// Depth first, the nearer branches first. The tree's singletons iterator takes twice the time, and keeps all ties.
 pub(crate) struct Search<'a, const N: usize>
 where
     [f64; N]: Point<Scalar = f64>,
@@ -393,12 +393,12 @@ where
             }
         }
         self.pending[start..].sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-        if self.found.len() >= SLACK * self.k {
+        if self.found.len() >= CANDIDATES * self.k {
             *bound = self.keep_nearest();
         }
     }
 
-    /// Forgets all but the `k` nearest, the last of which comes last; its squared distance.
+    /// Drops all but the `k` nearest, the last of which comes last; its squared distance.
     fn keep_nearest(&mut self) -> f64 {
         let (_, &mut (bits, _), _) = self.found.select_nth_unstable(self.k - 1);
         self.found.truncate(self.k);

@@ -2,17 +2,17 @@
 //!
 //! A set of rows is turned into the next by adding and removing the few rows in which they differ, at p^2/2 multiply-adds
 //! a row, instead of p^2/2 for every row of the set. Below the p rows of the matrix stand the right-hand sides `-Q_K^T e_K`,
-//! which follow the same sums. Rounding adds up: an error of about eps a change, so users start afresh
-//! now and then.
+//! which are sums over the same rows. Rounding adds up, about eps a change, so callers start afresh now and
+//! then.
 //!
-//! Storage is in the panels of [`crate::cholesky`], so that a factorisation starts from a copy.
+//! Storage is in the panels of [`crate::holdout::kernel`], so that a factorisation starts from a copy.
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::cholesky::{PANEL, products};
+use crate::holdout::kernel::{PANEL, products};
 
 /// Rows added at a time: their packed copy, of a few hundred columns, stays in the second-level cache.
-const BATCH: usize = 64;
+const PACKED_ROWS: usize = 64;
 
 /// The matrix and the right-hand sides below it.
 #[derive(Clone, Default)]
@@ -65,7 +65,7 @@ impl Gram {
 
     /// Holds rows out (sign -1) or takes them back in (1), each given by its entries and its right-hand sides.
     pub fn change<'a>(&mut self, rows: &[usize], sign: f64, fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
-        for batch in rows.chunks(BATCH) {
+        for batch in rows.chunks(PACKED_ROWS) {
             self.pack(batch, &fetch);
             let (panels, terms) = (&mut self.panels[..], &self.terms[..]);
             Arch::new().dispatch(Change { order: self.order, count: batch.len(), panels, terms, sign });

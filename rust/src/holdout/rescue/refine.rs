@@ -1,24 +1,24 @@
 //! Pairs close to rank loss: the closed form, refined with the residuals of the training rows.
 //!
 //! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is about
-//! eps / lambda_min(M). The residuals of the training rows themselves do not suffer, and with the factor at hand they correct the
-//! closed form; several pairs at once, so that one pass over the basis serves all. Where even that is too coarse, see
-//! [`crate::refit`].
+//! eps / lambda_min(M). The residuals of the training rows do not lose them, and with the factor of M they correct the
+//! closed form. Several pairs are corrected at once, so that one pass over the basis serves all of them. Where that is
+//! not enough, see [`crate::holdout::rescue::refit`].
 
-use crate::cholesky::Bordered;
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::linalg::{self, dot};
+use crate::fit::factor::Factor;
+use crate::fit::linalg::{self, dot};
+use crate::holdout::kernel::Bordered;
 use crate::pool::Pool;
 
-/// Rows of the basis between two looks at whether the work has been called off.
-const ROWS: usize = 512;
+/// Rows of the basis that are multiplied at a time; between them the work can be called off.
+const PASS_ROWS: usize = 512;
 
-/// Refinement needs a lambda_min(M) at which the factor still contracts the error, and the basis has its digits.
-const REFINABLE: f64 = 1e-10;
+/// Below this lambda_min(M) a step no longer contracts the error enough, and the basis has too few digits.
+const REFINED_MIN_EIGENVALUE: f64 = 1e-10;
 
-/// Above this lambda_min(M) a step's gain of digits tells the next one's.
-const PREDICTABLE: f64 = 1e-7;
+/// The most steps for a pair: each gains five digits or more as a rule.
+const MOST_STEPS: usize = 4;
 
 /// A factored system that applies the inverse of `M = I - Q_K^T Q_K`.
 pub(crate) enum Inverse<'a> {
@@ -44,7 +44,7 @@ impl Inverse<'_> {
 }
 
 /// A pair close to rank loss.
-pub(crate) struct Suspect<'a> {
+pub(crate) struct NearSingular<'a> {
     pub inverse: Inverse<'a>,
     /// An estimate of lambda_min(M).
     pub least: f64,
@@ -56,7 +56,7 @@ pub(crate) struct Suspect<'a> {
 
 /// Workspace of the refinement.
 #[derive(Default)]
-pub(crate) struct Batch {
+pub(crate) struct Refiner {
     /// Pairs refined at once.
     width: usize,
     /// One vector a pair: rank x width, column-major.
@@ -66,28 +66,28 @@ pub(crate) struct Batch {
     rest: Vec<f64>,
 }
 
-impl Batch {
-    /// Solves `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until what is left is rounding; writes weighted residuals
-    /// of the validated rows, and tells of which pairs they are to be trusted.
+impl Refiner {
+    /// Solves `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until only rounding is left. Writes weighted residuals
+    /// of the validated rows, and tells for which pairs they are accurate.
     pub fn refine(
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        suspects: &mut [Suspect<'_>],
+        pairs: &mut [NearSingular<'_>],
     ) -> Result<Vec<bool>, Error> {
-        let (rank, size) = (factor.rank, factor.rank * suspects.len());
-        self.width = suspects.len();
+        let (rank, size) = (factor.rank, factor.rank * pairs.len());
+        self.width = pairs.len();
         self.gradients.resize(size, 0.0);
         self.part.resize(size, 0.0);
-        self.rest.resize(ROWS * self.width, 0.0);
+        self.rest.resize(PASS_ROWS * self.width, 0.0);
         let mut good = vec![true; self.width];
         for c in 0..factor.responses {
             self.changes.clear();
             self.changes.resize(size, 0.0);
-            self.refine_response(factor, pool, suspects, c, &mut good)?;
-            for (suspect, change) in suspects.iter_mut().zip(self.changes.chunks_exact(rank)) {
-                let rows = suspect.rows[..suspect.validated].iter();
-                for (e, &row) in suspect.out.iter_mut().skip(c).step_by(factor.responses).zip(rows) {
+            self.refine_response(factor, pool, pairs, c, &mut good)?;
+            for (pair, change) in pairs.iter_mut().zip(self.changes.chunks_exact(rank)) {
+                let rows = pair.rows[..pair.validated].iter();
+                for (e, &row) in pair.out.iter_mut().skip(c).step_by(factor.responses).zip(rows) {
                     *e = factor.residual_row(row)[c] - dot(factor.basis_row(row), change);
                 }
             }
@@ -99,7 +99,7 @@ impl Batch {
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        suspects: &mut [Suspect<'_>],
+        pairs: &mut [NearSingular<'_>],
         c: usize,
         good: &mut [bool],
     ) -> Result<(), Error> {
@@ -109,31 +109,28 @@ impl Batch {
         // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
         for &s in &open {
             let change = &mut self.changes[s * rank..(s + 1) * rank];
-            for &row in suspects[s].rows {
+            for &row in pairs[s].rows {
                 let e = factor.residual_row(row)[c];
                 change.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
             }
-            suspects[s].inverse.apply(factor, change);
+            pairs[s].inverse.apply(factor, change);
             before[s] = dot(change, change);
         }
-        for _ in 0..8 {
+        for _ in 0..MOST_STEPS {
             if open.is_empty() {
                 return Ok(());
             }
-            self.descend(factor, pool, suspects, c)?;
+            self.descend(factor, pool, pairs, c)?;
             open.retain(|&s| {
                 let step = &mut self.gradients[s * rank..(s + 1) * rank];
-                suspects[s].inverse.apply(factor, step);
+                pairs[s].inverse.apply(factor, step);
                 let change = &mut self.changes[s * rank..(s + 1) * rank];
                 change.iter_mut().zip(&*step).for_each(|(x, d)| *x += d);
                 let (length, whole) = (dot(step, step), dot(change, change));
-                // Squares. Where rounding is far below, the next step will gain as many digits as this one did.
-                let next = if suspects[s].least > PREDICTABLE { length * length } else { length * before[s] };
-                let done = next <= 1e-24 * whole * before[s];
-                // Each step must gain a digit.
-                good[s] = done || length <= 1e-2 * before[s];
+                // Squares. The next step would gain as many digits as this one did.
+                let done = length * length <= 1e-24 * whole * before[s];
                 before[s] = length;
-                good[s] && !done
+                !done
             });
         }
         open.iter().for_each(|&s| good[s] = false);
@@ -145,14 +142,14 @@ impl Batch {
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        suspects: &[Suspect<'_>],
+        pairs: &[NearSingular<'_>],
         c: usize,
     ) -> Result<(), Error> {
         let (rank, width) = (factor.rank, self.width);
         self.gradients.fill(0.0);
-        for (block, basis) in factor.basis.chunks(ROWS * rank).enumerate() {
+        for (block, basis) in factor.basis.chunks(PASS_ROWS * rank).enumerate() {
             pool.proceed()?;
-            let first = block * ROWS;
+            let first = block * PASS_ROWS;
             let rest = &mut self.rest[..basis.len() / rank * width];
             linalg::rows_product(basis, &self.changes, rank, width, rest);
             for (i, rest) in rest.chunks_exact_mut(width).enumerate() {
@@ -160,8 +157,8 @@ impl Batch {
                 rest.iter_mut().for_each(|x| *x = e - *x);
             }
             let rows = first..first + basis.len() / rank;
-            for (s, suspect) in suspects.iter().enumerate() {
-                for row in suspect.rows.iter().filter(|row| rows.contains(row)) {
+            for (s, pair) in pairs.iter().enumerate() {
+                for row in pair.rows.iter().filter(|row| rows.contains(row)) {
                     rest[(row - first) * width + s] = 0.0;
                 }
             }
@@ -172,9 +169,9 @@ impl Batch {
     }
 }
 
-/// Whether a pair can be refined, and what can be leaves no doubt of the training rows' rank. Their singular values are at least those of
-/// the design times the square root of lambda_min(M), which is allowed a hundredth of its estimate.
+/// Whether a pair can be refined and its training rows are of full rank beyond doubt. Their singular values are at
+/// least those of the design times the square root of lambda_min(M); its estimate may be a hundred times too large.
 pub(crate) fn refinable(factor: &Factor, least: f64) -> bool {
-    let bound = factor.least * (REFINABLE / 100.0).sqrt();
-    least > REFINABLE && bound > factor.tolerance * (factor.columns as f64).sqrt()
+    let bound = factor.least * (REFINED_MIN_EIGENVALUE / 100.0).sqrt();
+    least > REFINED_MIN_EIGENVALUE && bound > factor.tolerance * (factor.columns as f64).sqrt()
 }

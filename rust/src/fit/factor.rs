@@ -6,7 +6,7 @@
 //! never on the number of threads.
 
 use crate::error::Error;
-use crate::linalg::{self, QrScratch, dot};
+use crate::fit::linalg::{self, QrScratch, dot};
 use crate::pool::Pool;
 
 /// A weighted, penalised least-squares problem: `min ||W^1/2 (b - A x)||^2 + ||Z x||^2`. Matrices are row-major.
@@ -214,8 +214,8 @@ impl Factor {
             return Ok(Vec::new());
         }
         let total = self.basis.len() / rank;
-        let mut parts = vec![0.0; total.div_ceil(ROWS) * size];
-        let (basis, right) = (self.basis.chunks(ROWS * rank), right.chunks(ROWS * responses));
+        let mut parts = vec![0.0; total.div_ceil(LEAF_ROWS) * size];
+        let (basis, right) = (self.basis.chunks(LEAF_ROWS * rank), right.chunks(LEAF_ROWS * responses));
         pool.run(
             parts.chunks_exact_mut(size).zip(basis).zip(right),
             || (),
@@ -269,7 +269,7 @@ impl Factor {
         if rank == 0 || responses == 0 {
             return Ok(());
         }
-        let parts = self.residuals.chunks_mut(ROWS * responses).zip(self.basis.chunks(ROWS * rank));
+        let parts = self.residuals.chunks_mut(LEAF_ROWS * responses).zip(self.basis.chunks(LEAF_ROWS * rank));
         pool.run(
             parts,
             || (),
@@ -289,18 +289,19 @@ pub(crate) fn expect_length(given: usize, expected: usize) -> Result<(), Error> 
 }
 
 /// Rows of a block, before `block_rows` has its say.
-const ROWS: usize = 2000;
+const LEAF_ROWS: usize = 2000;
 
 /// A block's triangle is at most a sixteenth of it, so that the stack of triangles stays cheap.
 fn block_rows(columns: usize) -> usize {
-    ROWS.max(16 * columns)
+    LEAF_ROWS.max(16 * columns)
 }
 
 /// Powers of two that bring every column's largest entry near one: overflow is then out of the way, and not a
 /// digit changes.
 fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
     let columns = problem.columns;
-    let blocks = problem.design.chunks(ROWS * columns).chain(problem.penalty.chunks(ROWS * columns));
+    let blocks =
+        problem.design.chunks(LEAF_ROWS * columns).chain(problem.penalty.chunks(LEAF_ROWS * columns));
     let blocks: Vec<&[f64]> = blocks.collect();
     let mut largest = vec![0.0_f64; blocks.len() * columns];
     pool.run(

@@ -6,7 +6,7 @@ pub const MOST_MEMBERS: usize = 400_000_000;
 /// Sets of indices laid end to end: set `s` is `items[offsets[s]..offsets[s + 1]]`.
 ///
 /// ```
-/// use mexpress::scheme::Sets;
+/// use mexpress::sets::Sets;
 /// let sets: Sets = [vec![0, 2], vec![], vec![1]].into_iter().collect();
 /// assert_eq!(sets.len(), 3);
 /// assert_eq!(sets.get(0), &[0, 2]);

@@ -1,16 +1,16 @@
 //! Pairs whose training rows may have lost rank: an exact refit.
 //!
-//! Householder reflections reduce the training rows, which sees rank down to rounding; for nested models (`lead`, `forward`)
-//! the triangle that is left answers for all leading columns.
+//! Householder reflections reduce the training rows to a triangle, which shows rank down to rounding. For nested models
+//! (`reduce_leading`, `forward_solve`) the triangle serves all leading columns.
 
 use crate::error::Error;
-use crate::factor::{Factor, Problem, leading_rank, numerical_rank};
-use crate::holdout::Status;
-use crate::linalg::{self, QrScratch, dot};
+use crate::fit::factor::{Factor, Problem, leading_rank, numerical_rank};
+use crate::fit::linalg::{self, QrScratch, dot};
+use crate::holdout::pairs::Status;
 use crate::pool::Pool;
 
 /// Training rows reduced at a time.
-const ROWS: usize = 512;
+const REDUCED_ROWS: usize = 512;
 
 /// Workspace; allocated at the first pair that needs it.
 #[derive(Default)]
@@ -65,7 +65,7 @@ impl Refit {
     ) -> Result<bool, Error> {
         let (rank, responses) = (factor.rank, factor.responses);
         let width = rank + responses;
-        let height = (self.held.len() - held).clamp(width, width + ROWS);
+        let height = (self.held.len() - held).clamp(width, width + REDUCED_ROWS);
         self.triangle(factor, problem, pool, height, width)?;
         if self.rank(factor, height, pool)? < rank {
             return Ok(false);
@@ -79,7 +79,7 @@ impl Refit {
     }
 
     /// Reduces the training rows of a design of full rank, and tells how many of its leading columns they determine.
-    pub(crate) fn lead(
+    pub(crate) fn reduce_leading(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
@@ -91,7 +91,7 @@ impl Refit {
         let (rank, responses) = (factor.rank, factor.responses);
         let width = rank + responses;
         self.row.resize(width, 0.0);
-        self.height = (self.held.len() - rows.len()).clamp(width, width + ROWS);
+        self.height = (self.held.len() - rows.len()).clamp(width, width + REDUCED_ROWS);
         let reduced = self.triangle(factor, problem, pool, self.height, width);
         rows.iter().for_each(|&i| self.held[i] = false);
         reduced?;
@@ -103,8 +103,8 @@ impl Refit {
         &self.block[j * self.height..j * self.height + kept]
     }
 
-    /// After `lead`: a response of row `i`, and the forward solves of the row and of this response's projection.
-    pub(crate) fn forward(
+    /// After `reduce_leading`: a response of row `i`, and the forward solves of the row and of this response's projection.
+    pub(crate) fn forward_solve(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
@@ -134,7 +134,7 @@ impl Refit {
     ) -> Result<(), Error> {
         let Self { held, row: entries, block, reflectors, scratch, .. } = self;
         // Sized for the largest block, whatever this pair's.
-        let scratch = scratch.get_or_insert_with(|| QrScratch::new(width + ROWS, width));
+        let scratch = scratch.get_or_insert_with(|| QrScratch::new(width + REDUCED_ROWS, width));
         block.clear();
         block.resize(height * width, 0.0);
         reflectors.resize(linalg::reflector_size(height, width), 0.0);

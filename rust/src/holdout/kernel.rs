@@ -16,13 +16,13 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::gram::Gram;
+use crate::holdout::gram::Gram;
 
 /// Rows of a panel.
 pub(crate) const PANEL: usize = 8;
 
 /// Panels of columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
-const BLOCK: usize = 8;
+const BLOCK_PANELS: usize = 8;
 
 /// Workspace of the bordered factorisation. Reused from pair to pair; grows, never shrinks.
 #[derive(Default)]
@@ -338,8 +338,8 @@ impl Factor<'_> {
         let Shape { order, terms, panels } = self.shape;
         let column_panels = order.div_ceil(PANEL);
         let mut smallest = f64::INFINITY;
-        for first in (0..column_panels).step_by(BLOCK) {
-            let last = column_panels.min(first + BLOCK);
+        for first in (0..column_panels).step_by(BLOCK_PANELS) {
+            let last = column_panels.min(first + BLOCK_PANELS);
             let done = terms + first * PANEL;
             for row in (first..panels).step_by(R) {
                 for column in first..last.min(row + R) {

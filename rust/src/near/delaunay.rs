@@ -3,9 +3,9 @@
 use spade::{DelaunayTriangulation, Point2, Triangulation, mitigate_underflow};
 
 use crate::error::Error;
-use crate::neighbours::{places, scaled, unit_scale};
+use crate::near::neighbours::{places, scaled, unit_scale};
 use crate::pool::Pool;
-use crate::scheme::{MOST_MEMBERS, Sets};
+use crate::sets::{MOST_MEMBERS, Sets};
 
 /// For every point, itself, the points that coincide with it, and those at the places joined to its own by an
 /// edge of the Delaunay triangulation, sorted by index.
@@ -15,7 +15,7 @@ use crate::scheme::{MOST_MEMBERS, Sets};
 /// zero. Fails if the number of coordinates is odd or, naming the first of them, if some are not finite.
 ///
 /// ```
-/// use mexpress::delaunay::delaunay;
+/// use mexpress::near::delaunay::delaunay;
 /// let never = std::sync::atomic::AtomicBool::new(false);
 /// let points = [0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0, 0.0];
 /// let sets = delaunay(&points, &mexpress::pool::Pool::new(1, &never))?;

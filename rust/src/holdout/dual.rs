@@ -1,0 +1,129 @@
+//! The dual: pairs solved in the space of their held-out rows, `(I - H_KK) z = e_K`, alone or each inside the next.
+
+use crate::fit::factor::Factor;
+use crate::fit::linalg::dot;
+use crate::holdout::pairs::Workspace;
+use crate::holdout::probes::{PROBES, by_probe, set_probes};
+use crate::holdout::visit::{Hat, MOST_CARRIED, Slot};
+
+impl Workspace {
+    /// `(I - H_KK) z = e_K` for one to three rows, in registers.
+    pub(super) fn unrolled<const N: usize>(&self, factor: &Factor, out: &mut [f64]) -> f64 {
+        let q: [&[f64]; N] = std::array::from_fn(|i| factor.basis_row(self.rows[i]));
+        let mut l = [[0.0; N]; N];
+        // Eigenvalues are at most one, so the least is at least their product.
+        let mut least = 1.0;
+        for i in 0..N {
+            for j in 0..=i {
+                let own = if i == j { 1.0 } else { 0.0 };
+                let sum: f64 = (0..j).map(|k| l[i][k] * l[j][k]).sum();
+                let value = own - dot(q[i], q[j]) - sum;
+                if i == j {
+                    least *= value.max(0.0);
+                }
+                l[i][j] = if i == j { value.max(0.0).sqrt() } else { value / l[j][j] };
+            }
+        }
+        for c in 0..factor.responses {
+            let mut z: [f64; N] = std::array::from_fn(|i| factor.residual_row(self.rows[i])[c]);
+            for i in 0..N {
+                z[i] = (z[i] - (0..i).map(|k| l[i][k] * z[k]).sum::<f64>()) / l[i][i];
+            }
+            for i in (0..N).rev() {
+                z[i] = (z[i] - (i + 1..N).map(|k| l[k][i] * z[k]).sum::<f64>()) / l[i][i];
+            }
+            out.iter_mut().skip(c).step_by(factor.responses).zip(z).for_each(|(e, z)| *e = z);
+        }
+        least
+    }
+
+    /// Solves the pairs of the first `ends` rows, each inside the next; false if the largest cannot be factored. More
+    /// validated rows than ride along are those of a single pair.
+    pub(super) fn dual(
+        &mut self,
+        factor: &Factor,
+        hat: Option<&Hat>,
+        ends: &[usize],
+        slots: &mut [Slot<'_>],
+    ) -> bool {
+        let (q, responses) = (ends[ends.len() - 1], factor.responses);
+        let carried = if self.validated <= MOST_CARRIED { self.validated } else { 0 };
+        self.fill_dual(factor, hat, q, carried);
+        if self.system.factor() <= 0.0 {
+            return false;
+        }
+        self.least_eigenvalues(ends, responses);
+        for c in 0..responses {
+            for k in 0..carried {
+                let products = self.system.forward_products(c, responses + PROBES + k);
+                leading_sums(products, ends, |pair, e| slots[pair].residuals[k * responses + c] = e);
+            }
+            if carried < self.validated {
+                let z = self.system.back_solve(c, 0);
+                slots[0].residuals.iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
+            }
+        }
+        for (slot, &least) in slots.iter_mut().zip(&self.least) {
+            self.accept(factor, least, slot);
+        }
+        true
+    }
+
+    /// `I - H_KK` of the first q rows, with residuals, and unit vectors of the first `carried` rows.
+    pub(super) fn fill_dual(&mut self, factor: &Factor, hat: Option<&Hat>, q: usize, carried: usize) {
+        let responses = factor.responses;
+        let rows = &self.rows[..q];
+        let border = responses + PROBES + carried;
+        match hat {
+            None => self.system.start(q, border, factor.rank),
+            Some(hat) => {
+                self.places.clear();
+                self.places.extend(rows.iter().map(|&row| hat.place[row]));
+                self.system.start_complement(|i| hat.line(self.places[i]), &self.places, border);
+            }
+        }
+        set_probes(&mut self.system, q, responses);
+        for (i, &row) in rows.iter().enumerate() {
+            if hat.is_none() {
+                self.system.set_row(i, factor.basis_row(row));
+            }
+            for (c, &e) in factor.residual_row(row).iter().enumerate() {
+                *self.system.entry(q + c, i) = e;
+            }
+        }
+        for k in 0..carried {
+            *self.system.entry(q + responses + PROBES + k, k) = 1.0;
+        }
+        self.system.clear_rows(q);
+    }
+
+    /// As [`least_eigenvalue`], of every leading part.
+    fn least_eigenvalues(&mut self, ends: &[usize], responses: usize) {
+        let Self { system, least, .. } = self;
+        least.clear();
+        least.resize(ends.len(), f64::INFINITY);
+        let mut smallest = f64::INFINITY;
+        let mut pivots = system.pivots();
+        for ((least, &end), &start) in least.iter_mut().zip(ends).zip([0].iter().chain(ends)) {
+            smallest = pivots.by_ref().take(end - start).fold(smallest, f64::min);
+            *least = smallest;
+        }
+        drop(pivots);
+        for probe in responses..responses + PROBES {
+            leading_sums(system.forward_products(probe, probe), ends, |pair, sum| {
+                least[pair] = least[pair].min(by_probe(sum, ends[pair]));
+            });
+        }
+    }
+}
+
+/// Hands on the sums of the first `ends` terms, ends that do not decrease.
+fn leading_sums(terms: impl Iterator<Item = f64>, ends: &[usize], mut hand: impl FnMut(usize, f64)) {
+    let mut terms = terms;
+    let (mut sum, mut start) = (0.0, 0);
+    for (k, &end) in ends.iter().enumerate() {
+        sum += terms.by_ref().take(end - start).sum::<f64>();
+        start = end;
+        hand(k, sum);
+    }
+}

@@ -1,0 +1,80 @@
+//! Small sets: the inverse of `S_l = I - Q_K,l Q_K,l^T` column by column, and with it the residuals of every leading model.
+
+use super::Nested;
+use super::sweep::CERTAIN_MIN_EIGENVALUE;
+use crate::fit::linalg::dot;
+
+/// Workspace of the dual.
+#[derive(Default)]
+pub(super) struct Dual {
+    /// Q_K, column by column.
+    columns: Vec<f64>,
+    /// `S_l^-1`, q x q.
+    inverse: Vec<f64>,
+    /// Prediction residuals of model l, responses x q.
+    residuals: Vec<f64>,
+    w: Vec<f64>,
+}
+
+impl Dual {
+    /// Adds the squared residuals of the last `validated` rows at every cut; false if that may be inaccurate.
+    pub(super) fn solve(
+        &mut self,
+        nested: &Nested,
+        cuts: &[usize],
+        (rows, validated): (&[usize], usize),
+        squares: &mut [f64],
+    ) -> bool {
+        let (q, rank) = (rows.len(), nested.factor.rank);
+        self.load(nested, rows);
+        let first = q - validated;
+        let mut done = 0;
+        for (square, &cut) in squares.iter_mut().zip(cuts) {
+            if !(done..cut).all(|j| self.column(j, q, nested.factor.projection.chunks_exact(rank.max(1)))) {
+                return false;
+            }
+            done = cut;
+            *square += self.residuals.chunks_exact(q).map(|e| dot(&e[first..], &e[first..])).sum::<f64>();
+        }
+        let trace: f64 = self.inverse.iter().step_by(q + 1).sum();
+        trace < q as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE
+    }
+
+    fn load(&mut self, nested: &Nested, rows: &[usize]) {
+        let (q, rank, responses) = (rows.len(), nested.factor.rank, nested.factor.responses);
+        self.columns.resize(q * rank, 0.0);
+        self.residuals.resize(q * responses, 0.0);
+        self.w.resize(q, 0.0);
+        self.inverse.clear();
+        self.inverse.resize(q * q, 0.0);
+        for (k, &row) in rows.iter().enumerate() {
+            self.inverse[k * (q + 1)] = 1.0;
+            for (j, x) in nested.factor.basis_row(row).iter().enumerate() {
+                self.columns[j * q + k] = *x;
+            }
+            self.residuals[k..].iter_mut().step_by(q).zip(nested.right_row(row)).for_each(|(e, b)| *e = *b);
+        }
+    }
+
+    /// Adds column j to the model; false if its pivot vanishes.
+    fn column<'a>(&mut self, j: usize, q: usize, projection: impl Iterator<Item = &'a [f64]>) -> bool {
+        let Self { columns, inverse, residuals, w } = self;
+        let column = &columns[j * q..(j + 1) * q];
+        for (w, row) in w.iter_mut().zip(inverse.chunks_exact(q)) {
+            *w = dot(row, column);
+        }
+        let pivot = 1.0 - dot(w, column);
+        if pivot.is_nan() || pivot <= CERTAIN_MIN_EIGENVALUE {
+            return false;
+        }
+        for (e, c) in residuals.chunks_exact_mut(q).zip(projection) {
+            let step = (c[j] - dot(column, e)) / pivot;
+            e.iter_mut().zip(&*w).for_each(|(e, w)| *e -= w * step);
+        }
+        for (row, w_row) in inverse.chunks_exact_mut(q).zip(&*w) {
+            let factor = w_row / pivot;
+            row.iter_mut().zip(&*w).for_each(|(x, w)| *x += factor * w);
+        }
+        true
+    }
+}

@@ -1,0 +1,302 @@
+//! Every leading model at once: model l has the first l columns of the design.
+//!
+//! Let Q be the basis of an unpivoted factorisation, so that its first l columns span those of model l. For a held-out set K
+//! factor `M = I - Q_K^T Q_K = L L^T` without pivoting. With `b = Q c + e`, `u = L^-1 q_i` and
+//! `v = L^-1 (Q^T b - Q_K^T b_K) = L^T c - L^-1 Q_K^T e_K`, the prediction of model l at row i is
+//!
+//! ```text
+//! sum_{j <= l} u_j v_j
+//! ```
+//!
+//! since leading blocks of L factor leading blocks of M: the whole curve over l costs one factorisation a set. The
+//! second form of v has no cancellation.
+//!
+//! * **Dual**, for small sets: `S_l = I - Q_K,l Q_K,l^T` loses one rank-one term a column. With `w = S_l-1^-1 q_l` and
+//!   `d = 1 - q_l . w`, which is the pivot `L_ll^2`,
+//!   `S_l^-1 = S_l-1^-1 + w w^T / d` and the prediction residuals become `e - w (c_l - q_l . e) / d`. The sums have no
+//!   cancellation.
+//! * **Neighbouring sets** share a [`Gram`](crate::holdout::gram::Gram) matrix: that of a pair is made from that of the pair
+//!   before, from that of the next smaller scheme around the same datum (ring by ring), or afresh, whichever takes the
+//!   fewest rows.
+//! * **Rank loss.** A vanishing pivot at column j leaves models j, j + 1, .. undefined. M squares singular values, so the
+//!   error is eps / lambda_min(M); where that shows, the same is done with twice the digits, see
+//!   [`crate::holdout::rescue::double_double`]. The training rows' triangle `L^T R`, with R the design's, decides on rank.
+//!   Where Q itself has too few digits, at lambda_min near rounding, the training rows are refitted, and their own
+//!   triangle gives u and v for all l.
+
+mod dual;
+mod rescue;
+mod sweep;
+
+use std::sync::OnceLock;
+
+use self::sweep::{Sweep, Task, Workspace, chains};
+use crate::error::Error;
+use crate::fit::factor::{self, Factor, Problem, expect_length};
+use crate::fit::linalg;
+use crate::holdout::pairs::check_indices;
+use crate::holdout::rescue::double_double::{self, DdMatrix};
+use crate::near::neighbours::LazyNeighbourhoods;
+use crate::pool::Pool;
+use crate::sets::Sets;
+
+/// Held-out and validated data of pairs.
+pub struct Scheme<'a> {
+    /// Held-out data of each pair.
+    pub held: Held<'a>,
+    /// Validated data of each pair, a subset of those held out.
+    pub validated: &'a Sets,
+    /// The pairs to be visited, successive ones best near each other: they then share most of what they hold out.
+    pub order: &'a [usize],
+}
+
+/// Data that pairs hold out.
+#[derive(Clone, Copy)]
+pub enum Held<'a> {
+    /// Listed.
+    Sets(&'a Sets),
+    /// Neighbourhoods, found when they are needed.
+    Lazy(&'a LazyNeighbourhoods),
+}
+
+impl Held<'_> {
+    fn len(self) -> usize {
+        match self {
+            Self::Sets(sets) => sets.len(),
+            Self::Lazy(lazy) => lazy.singletons.len(),
+        }
+    }
+
+    /// About how many data a pair holds out.
+    fn mean(self) -> f64 {
+        match self {
+            Self::Sets(sets) => sets.items.len() as f64 / sets.len().max(1) as f64,
+            Self::Lazy(lazy) => lazy.mean,
+        }
+    }
+
+    fn members(self, pair: usize, out: &mut Vec<usize>) {
+        match self {
+            Self::Sets(sets) => {
+                out.clear();
+                out.extend_from_slice(sets.get(pair));
+            }
+            Self::Lazy(lazy) => lazy.members(pair, out),
+        }
+    }
+}
+
+/// One scheme's scores of every model.
+pub struct Curve {
+    /// Sum of squared weighted prediction residuals, one a model; NaN where a pair is undefined.
+    pub squares: Vec<f64>,
+    /// How many of the models are defined, for each pair in the order of the visit.
+    pub defined: Vec<usize>,
+}
+
+/// The fit of one model.
+pub struct ModelFit {
+    /// Sum of squared weighted residuals.
+    pub squares: f64,
+    /// Trace of the hat matrix: the effective number of parameters.
+    pub parameters: f64,
+    /// Number of columns that add rank.
+    pub rank: usize,
+}
+
+/// A factored problem whose leading columns are models of their own.
+pub struct Nested {
+    factor: Factor,
+    /// The columns that add rank to those before; all of them as a rule.
+    kept: Vec<usize>,
+    /// The problem without the others, if there are others.
+    reduced: Option<(Vec<f64>, Vec<f64>)>,
+    /// Weighted responses, rows x responses.
+    right: Vec<f64>,
+    basis_gram: OnceLock<DdMatrix>,
+}
+
+impl Nested {
+    /// Factors all models.
+    pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+        let mut factor = Factor::new(problem, pool)?;
+        let mut kept: Vec<usize> = (0..problem.columns).collect();
+        let mut reduced = None;
+        while 0 < factor.rank && factor.rank < kept.len() {
+            kept = factor.independent_columns(pool)?.into_iter().map(|j| kept[j]).collect();
+            let only = |matrix| columns(matrix, problem.columns, &kept);
+            let parts = (only(problem.design), only(problem.penalty));
+            factor = Factor::new(&part(problem, &parts, kept.len()), pool)?;
+            reduced = Some(parts);
+        }
+        kept.truncate(factor.rank);
+        let right = factor::weighted_responses(problem, factor.responses);
+        Ok(Self { factor, kept, reduced, right, basis_gram: OnceLock::new() })
+    }
+
+    /// How many of the independent columns are among the first ones of the design.
+    fn cuts(&self, sizes: &[usize]) -> Result<Vec<usize>, Error> {
+        if let Some(index) = (1..sizes.len()).find(|&k| sizes[k] < sizes[k - 1]) {
+            return Err(Error::Decreasing { index });
+        }
+        Ok(sizes.iter().map(|&size| self.kept.partition_point(|&column| column < size)).collect())
+    }
+
+    /// The fit of the models with these numbers of columns.
+    pub fn fits(&self, sizes: &[usize], pool: &Pool<'_>) -> Result<Vec<ModelFit>, Error> {
+        const FIT_ROWS: usize = 2000;
+        let Factor { rank, rows, .. } = self.factor;
+        let cuts = self.cuts(sizes)?;
+        let width = rank + sizes.len();
+        let mut parts = vec![0.0; rows.div_ceil(FIT_ROWS) * width];
+        pool.run(
+            parts.chunks_exact_mut(width.max(1)).enumerate(),
+            || (),
+            |(), (block, part)| {
+                let (leverage, squares) = part.split_at_mut(rank);
+                for i in block * FIT_ROWS..rows.min((block + 1) * FIT_ROWS) {
+                    let q = self.factor.basis_row(i);
+                    leverage.iter_mut().zip(q).for_each(|(h, q)| *h += q * q);
+                    for (c, b) in self.right_row(i).iter().enumerate() {
+                        let projection = &self.factor.projection[c * rank..(c + 1) * rank];
+                        add_squares([*b], q.as_chunks().0, projection, &cuts, squares);
+                    }
+                }
+            },
+        )?;
+        let mut sums = vec![0.0; width];
+        for part in parts.chunks_exact(width.max(1)) {
+            sums.iter_mut().zip(part).for_each(|(s, x)| *s += x);
+        }
+        let (leverage, squares) = sums.split_at(rank);
+        let fit = |(&cut, &squares): (&usize, &f64)| ModelFit {
+            squares,
+            parameters: leverage[..cut].iter().sum(),
+            rank: cut,
+        };
+        Ok(cuts.iter().zip(squares).map(fit).collect())
+    }
+
+    /// The coefficients of the model of the first `size` columns, size x responses, column-major; those of columns that add
+    /// no rank are zero.
+    pub fn coefficients(&self, size: usize) -> Vec<f64> {
+        let Factor { rank, .. } = self.factor;
+        let cut = self.kept.partition_point(|&column| column < size);
+        self.factor
+            .projection
+            .chunks_exact(rank.max(1))
+            .flat_map(|c| {
+                let mut x = c[..cut].to_vec();
+                linalg::solve_upper(&self.factor.triangle, rank, cut, &mut x, 1);
+                let mut all = vec![0.0; size];
+                for ((x, scale), &column) in x.iter().zip(&self.factor.scales).zip(&self.kept) {
+                    all[column] = x * scale;
+                }
+                all
+            })
+            .collect()
+    }
+
+    /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes
+    /// with equal validated sets and order go through the data together, the smaller first.
+    pub fn curves(
+        &self,
+        problem: &Problem<'_>,
+        schemes: &[Scheme<'_>],
+        rows: &Sets,
+        sizes: &[usize],
+        pool: &Pool<'_>,
+    ) -> Result<Vec<Curve>, Error> {
+        check(schemes, rows, self.factor.rows)?;
+        let cuts = self.cuts(sizes)?;
+        let sweep = Sweep { nested: self, schemes, rows, cuts: &cuts };
+        let chains = chains(schemes);
+        let mut tasks: Vec<Task> = Vec::new();
+        for chain in &chains {
+            let length = schemes[chain[0]].order.len();
+            let steps = sweep.steps(chain);
+            tasks.extend(
+                (0..length).step_by(steps).map(|first| sweep.task(chain, first, length.min(first + steps))),
+            );
+        }
+        pool.run(
+            tasks.iter_mut(),
+            || Workspace::new(&sweep),
+            |workspace, task| workspace.solve_task(&sweep, task, pool),
+        )?;
+        let mut found: Vec<Curve> = schemes
+            .iter()
+            .map(|s| Curve { squares: vec![0.0; cuts.len()], defined: vec![cuts.len(); s.order.len()] })
+            .collect();
+        let mut rest = Vec::new();
+        for task in &tasks {
+            for (&s, squares) in task.chain.iter().zip(task.squares.chunks_exact(cuts.len().max(1))) {
+                found[s].squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
+            }
+            task.cut.iter().for_each(|&(s, step, defined)| found[s].defined[step] = defined);
+            rest.extend_from_slice(&task.close);
+        }
+        sweep.rescue(problem, &mut rest, &mut found, pool)?;
+        Ok(found)
+    }
+
+    /// `Q^T Q` in twice the digits, once some pair needs it.
+    fn basis_gram(&self, pool: &Pool<'_>) -> Result<&DdMatrix, Error> {
+        if self.basis_gram.get().is_none() {
+            drop(self.basis_gram.set(double_double::gram(&self.factor.basis, self.factor.rank, pool)?));
+        }
+        self.basis_gram.get().ok_or(Error::Interrupted)
+    }
+
+    fn right_row(&self, i: usize) -> &[f64] {
+        let r = self.factor.responses;
+        &self.right[i * r..(i + 1) * r]
+    }
+
+    /// The problem of the independent columns, which was factored.
+    fn independent<'a>(&'a self, problem: &'a Problem<'a>) -> Problem<'a> {
+        match &self.reduced {
+            Some(parts) => part(problem, parts, self.kept.len()),
+            None => Problem { ..*problem },
+        }
+    }
+}
+
+fn columns(matrix: &[f64], width: usize, kept: &[usize]) -> Vec<f64> {
+    matrix.chunks_exact(width).flat_map(|row| kept.iter().map(|&j| row[j])).collect()
+}
+
+fn part<'a>(
+    problem: &Problem<'a>,
+    (design, penalty): &'a (Vec<f64>, Vec<f64>),
+    columns: usize,
+) -> Problem<'a> {
+    Problem { design, penalty, columns, ..*problem }
+}
+
+/// Adds the squares of `b - sum_{j < cut} u_j v_j` at every cut, of N rows side by side.
+fn add_squares<const N: usize>(b: [f64; N], u: &[[f64; N]], v: &[f64], cuts: &[usize], squares: &mut [f64]) {
+    let (mut rest, mut done) = (b, 0);
+    for (square, &cut) in squares.iter_mut().zip(cuts) {
+        for (u, v) in u[done..cut].iter().zip(&v[done..cut]) {
+            rest.iter_mut().zip(u).for_each(|(rest, u)| *rest -= u * v);
+        }
+        done = cut;
+        rest.iter().for_each(|e| *square += e * e);
+    }
+}
+
+fn check(schemes: &[Scheme<'_>], rows: &Sets, bound: usize) -> Result<(), Error> {
+    check_indices(rows, bound)?;
+    for scheme in schemes {
+        if let Held::Sets(held) = scheme.held {
+            check_indices(held, rows.len())?;
+        }
+        check_indices(scheme.validated, rows.len())?;
+        expect_length(scheme.validated.len(), scheme.held.len())?;
+        if let Some(&index) = scheme.order.iter().find(|&&pair| pair >= scheme.held.len()) {
+            return Err(Error::Index { index, bound: scheme.held.len() });
+        }
+    }
+    Ok(())
+}

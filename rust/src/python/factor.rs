@@ -1,0 +1,151 @@
+//! One least-squares problem and its pairs.
+
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use pyo3::prelude::*;
+
+use super::arrays::{Array1, Array2, ReadSets, indices, numbers, sets, table};
+use super::interrupt::interruptible;
+use super::problem::KeptArrays;
+use crate::error::Error;
+use crate::fit::factor::{self, Problem};
+use crate::holdout::pairs::{Pairs, Status};
+use crate::pool::Pool;
+
+/// A fitted least-squares problem.
+#[pyclass(frozen, module = "mexpress._core")]
+pub(super) struct Factor {
+    fit: factor::Factor,
+    arrays: KeptArrays,
+}
+
+impl Factor {
+    fn build<'py>(
+        py: Python<'py>,
+        arrays: KeptArrays,
+        threads: usize,
+        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<factor::Factor, Error> + Send + Sync,
+    ) -> PyResult<Self> {
+        let borrowed = arrays.borrow(py)?;
+        let problem = borrowed.problem()?;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| make(&problem, pool))?;
+        Ok(Self { fit, arrays })
+    }
+}
+
+#[pymethods]
+impl Factor {
+    #[new]
+    fn new<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        root_weights: Option<Array1<'py, f64>>,
+        penalty: Array2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let arrays = KeptArrays {
+            design: design.unbind(),
+            responses: responses.unbind(),
+            root_weights: root_weights.map(Bound::unbind),
+            penalty: penalty.unbind(),
+        };
+        Self::build(py, arrays, threads, factor::Factor::new)
+    }
+
+    /// Of a design and penalty rows that have orthonormal columns together.
+    #[staticmethod]
+    fn orthonormal<'py>(
+        py: Python<'py>,
+        design: Array2<'py, f64>,
+        responses: Array2<'py, f64>,
+        penalty: Array2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
+        let arrays = KeptArrays { design, responses, root_weights: None, penalty };
+        Self::build(py, arrays, threads, factor::Factor::orthonormal)
+    }
+
+    #[getter]
+    fn rank(&self) -> usize {
+        self.fit.rank
+    }
+
+    #[getter]
+    fn coefficients<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
+        let transposed = table(py, self.fit.coefficients.clone(), self.fit.responses, self.fit.columns)?;
+        transposed.transpose()
+    }
+
+    #[getter]
+    fn residuals<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
+        table(py, self.fit.plain_residuals(), self.fit.rows, self.fit.responses)
+    }
+
+    #[getter]
+    fn leverage<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
+        PyArray1::from_slice(py, &self.fit.leverage)
+    }
+
+    /// (residuals, rows, offsets, undefined) of the pairs.
+    #[expect(clippy::type_complexity)]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        held: ReadSets<'py>,
+        validated: ReadSets<'py>,
+        rows: ReadSets<'py>,
+        order: PyReadonlyArray1<'py, i64>,
+        threads: usize,
+    ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        // At worst every pair is refitted.
+        let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
+        let order = numbers(&order)?;
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &order };
+        let arrays = self.arrays.borrow(py)?;
+        let problem = arrays.problem()?;
+        let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;
+        let lost = found.status.iter().enumerate().filter(|(_, s)| **s == Status::Undefined).map(|(i, _)| i);
+        let count = found.rows.len();
+        Ok((
+            table(py, found.residuals, count, self.fit.responses)?,
+            indices(py, &found.rows),
+            indices(py, &found.offsets),
+            indices(py, &lost.collect::<Vec<_>>()),
+        ))
+    }
+
+    /// The covariances of the prediction residuals of pairs, flattened one after another.
+    fn spread<'py>(
+        &self,
+        py: Python<'py>,
+        held: ReadSets<'py>,
+        validated: ReadSets<'py>,
+        rows: ReadSets<'py>,
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let (held, validated, rows) =
+            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
+    }
+
+    /// The blocks of the hat matrix for sets of rows, flattened one after another.
+    fn hat_blocks<'py>(
+        &self,
+        py: Python<'py>,
+        rows: ReadSets<'py>,
+        threads: usize,
+    ) -> PyResult<Array1<'py, f64>> {
+        let rows = sets(&rows.0, &rows.1)?;
+        let squares: f64 = (0..rows.len()).map(|s| (rows.get(s).len() as f64).powi(2)).sum();
+        let cost = squares * self.fit.rank as f64;
+        let blocks = interruptible(py, cost, threads, |pool| self.fit.hat_blocks(&rows, pool))?;
+        Ok(PyArray1::from_vec(py, blocks))
+    }
+}

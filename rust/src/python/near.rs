@@ -1,0 +1,103 @@
+//! Which data are near which.
+
+use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+use super::arrays::{Array1, Arrays, arrays, indices, matrix};
+use super::interrupt::interruptible;
+use crate::near::{delaunay, distance_matching, hilbert, neighbours};
+
+/// Neighbourhoods that are found when they are needed.
+#[pyclass(frozen, module = "mexpress._core")]
+pub(super) struct LazyNeighbourhoods(pub(super) neighbours::LazyNeighbourhoods);
+
+#[pymethods]
+impl LazyNeighbourhoods {
+    #[staticmethod]
+    fn within(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, radius: f64) -> PyResult<Self> {
+        let (dimension, points) = (points.shape()[1], matrix(&points)?);
+        Ok(Self(py.detach(|| neighbours::LazyNeighbourhoods::within(points, dimension, radius))?))
+    }
+
+    #[staticmethod]
+    fn nearest(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, k: usize) -> PyResult<Self> {
+        let (dimension, points) = (points.shape()[1], matrix(&points)?);
+        Ok(Self(py.detach(|| neighbours::LazyNeighbourhoods::nearest(points, dimension, k))?))
+    }
+
+    #[getter]
+    fn mean(&self) -> f64 {
+        self.0.mean
+    }
+}
+
+/// The points in the order of a curve that fills the space.
+#[pyfunction]
+pub(super) fn hilbert_order<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Array1<'py, i64>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let order = py.detach(|| hilbert::hilbert_order(points, dimension))?;
+    Ok(indices(py, &order))
+}
+
+/// Neighbourhoods of points within a radius, as (offsets, items).
+#[pyfunction]
+pub(super) fn neighbours_within<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    radius: f64,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        neighbours::within(points, dimension, radius, pool)
+    })?;
+    Ok(arrays(py, &found))
+}
+
+/// The k nearest of each point, itself counted, as (offsets, items).
+#[pyfunction]
+pub(super) fn neighbours_nearest<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    k: usize,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let points = matrix(&points)?;
+    let found =
+        interruptible(py, f64::INFINITY, threads, |pool| neighbours::nearest(points, dimension, k, pool))?;
+    Ok(arrays(py, &found))
+}
+
+/// Neighbourhoods that leave every point as far from its nearest as queries are from theirs, as (offsets, items).
+#[pyfunction]
+pub(super) fn neighbours_matched<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    queries: PyReadonlyArray2<'py, f64>,
+    most: usize,
+    threads: usize,
+) -> PyResult<Arrays<'py>> {
+    let dimension = points.shape()[1];
+    let (points, queries) = (matrix(&points)?, matrix(&queries)?);
+    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        distance_matching::matched(points, queries, dimension, most, pool)
+    })?;
+    Ok(arrays(py, &found))
+}
+
+/// Each point with its neighbours in the Delaunay triangulation, as (offsets, items).
+#[pyfunction]
+pub(super) fn neighbours_delaunay<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Arrays<'py>> {
+    let points = matrix(&points)?;
+    let found = interruptible(py, f64::INFINITY, 1, |pool| delaunay::delaunay(points, pool))?;
+    Ok(arrays(py, &found))
+}
