@@ -250,17 +250,11 @@ def _figure3(options: Options) -> Outcome:
 _ON_SHEETS = "on 450 simulated pairs of bent sheets"
 
 TABLE1 = Experiment(
-    "table1",
-    f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table",
-    "",
-    _table1,
+    "table1", f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table", "", _table1
 )
 FIGURE2 = Experiment(
     "figure2", f"mean curves of the criteria {_ON_SHEETS}; needs no time after table1", "", _figure2
 )
 FIGURE3 = Experiment(
-    "figure3",
-    f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1",
-    "",
-    _figure3,
+    "figure3", f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1", "", _figure3
 )
