@@ -1,7 +1,8 @@
 """Table 1 and figures 2 and 3: what every criterion selects on 450 simulated pairs of images of bent sheets.
 
 All three read the same rows, one for each configuration, number of correspondences and number of control points, in
-``table1-curves.csv`` of the output directory; whichever is made first computes them.
+``table1-curves.sqlite`` of the output directory, and write them as ``table1-curves.csv``; whichever is made first
+computes them.
 """
 
 from __future__ import annotations
