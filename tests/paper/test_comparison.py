@@ -116,9 +116,9 @@ def test_only_what_is_missing_is_computed_and_the_tables_say_who_won(tmp_path, m
 
 
 def test_a_warp_is_judged_as_a_warp_and_a_map_as_a_map(tmp_path):
-    found = compare_models.scorer(tmp_path, "homography (30)", 0, ["homography", "mexpress tps"])
+    found = compare_models.judge(tmp_path, "homography (30)", 0, ["homography", "mexpress tps"])
     assert found["mexpress tps"][0] < 2 * found["homography"][0]
-    found = compare_models.scorer(tmp_path, "Jacksboro (300)", 0, ["plane", "mexpress tps"])
+    found = compare_models.judge(tmp_path, "Jacksboro (300)", 0, ["plane", "mexpress tps"])
     assert found["mexpress tps"][0] < found["plane"][0]
 
 

@@ -20,10 +20,12 @@ from mexpress.selection.weights import AUTO
 __all__ = [
     "Parser",
     "UsageError",
+    "add_run",
     "add_selection",
     "draw",
-    "finite",
     "print_selection",
+    "sizes_summary",
+    "sizes_text",
     "warn",
     "warn_outside",
     "warn_selection",
@@ -65,13 +67,15 @@ def add_selection(parser: Parser, placements: str) -> None:
     )
     add("--lifting", default="tps", help="functions that bend the plane: tps, bspline, affine (default: tps)")
     add("--placement", metavar="NAME", help=f"how control points are spread: {placements}")
+    add_run(parser)
+
+
+def add_run(parser: Parser) -> None:
+    """Add the options of every run that writes into a directory."""
+    threads = "at most so many (default: MEXPRESS_NUM_THREADS, or all cores)"
+    add = parser.add_argument
     add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
-    add(
-        "--threads",
-        type=int,
-        metavar="N",
-        help="at most so many (default: MEXPRESS_NUM_THREADS, or all cores)",
-    )
+    add("--threads", type=int, metavar="N", help=threads)
     add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
     add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
     add("--quiet", action="store_true", help="show no progress")
@@ -167,9 +171,19 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
     return list(plots)
 
 
-def finite(value: Any) -> float | None:
-    """Return a number as JSON has it."""
-    return float(value) if np.isfinite(value) else None
+def sizes_summary(sizes: Floats) -> dict[str, float]:
+    """Return what there is to know about the sizes (n,) of errors."""
+    return {
+        "rms": float(np.sqrt((sizes**2).mean())),
+        "median": float(np.median(sizes)),
+        "largest": float(sizes.max()),
+    }
+
+
+def sizes_text(sizes: dict[str, float]) -> str:
+    """Return such a summary as text."""
+    numbers = ((name, f"{size:.3g}" if np.isfinite(size) else "undefined") for name, size in sizes.items())
+    return ", ".join(f"{name} {number}" for name, number in numbers)
 
 
 def warn_outside(domain: Floats, points: Floats, total: int, region: str) -> None:

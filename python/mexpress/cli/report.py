@@ -256,11 +256,7 @@ def versions() -> dict[str, str]:
     >>> sorted(versions())
     ['mexpress', 'numpy', 'python']
     """
-    return {
-        "mexpress": version("mexpress"),
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
+    return {"mexpress": version("mexpress"), "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _plain(value: Any) -> Any:

@@ -136,11 +136,7 @@ def _fit(selection: SurfaceSelection) -> dict[str, Any]:
         "file": "surface.npz",
         "dimension": _dimension(selection.values),
         "control_points": selection.count,
-        "residuals": {
-            "rms": common.finite(np.sqrt((sizes**2).mean())),
-            "median": common.finite(np.median(sizes)),
-            "largest": common.finite(sizes.max()),
-        },
+        "residuals": common.sizes_summary(sizes),
     }
 
 
@@ -148,9 +144,7 @@ def _dimension(values: Floats) -> int:
     return 1 if values.ndim == 1 else values.shape[1]
 
 
-def _print(
-    selection: SurfaceSelection, cloud: Cloud, unit: str | None, residuals: dict[str, float | None]
-) -> None:
+def _print(selection: SurfaceSelection, cloud: Cloud, unit: str | None, residuals: dict[str, float]) -> None:
     total = f" of {cloud.n_valid}" if cloud.n_valid > len(cloud.points) else ""
     missing = f" ({cloud.n_missing} more are missing)" if cloud.n_missing else ""
     dimension, counts = _dimension(cloud.values), selection.counts
@@ -161,9 +155,7 @@ def _print(
         f"{unit or 'unit of the data'}; * smallest\n"
     )
     common.print_selection(selection)
-    sizes = ", ".join(
-        f"{name} {'undefined' if size is None else f'{size:.3g}'}" for name, size in residuals.items()
-    )
+    sizes = common.sizes_text(residuals)
     print(f"Residuals of the surface, in {unit or 'the unit of the data'}: {sizes}.")
 
 

@@ -106,11 +106,7 @@ def _health(selection: WarpSelection) -> dict[str, Any]:
         "lifting": warp.lifting.name,
         "fractional": warp.fractional,
         "control_points": warp.control_points.tolist(),
-        "transfer_error": {
-            "rms": common.finite(np.sqrt((errors**2).mean())),
-            "median": common.finite(np.median(errors)),
-            "largest": common.finite(errors.max()),
-        },
+        "transfer_error": common.sizes_summary(errors),
         "folded": float((warp.folds(inside) & ~vanishes).mean()),
         "vanishing": float(vanishes.mean()),
     }
@@ -127,10 +123,7 @@ def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
     )
     remark = "PRESS averages over the rows of the design, the others over the matches."
     common.print_selection(selection, remark if "PRESS" in selection.curves else "")
-    errors = ", ".join(
-        f"{name} {'undefined' if error is None else f'{error:.3g}'}"
-        for name, error in health["transfer_error"].items()
-    )
+    errors = common.sizes_text(health["transfer_error"])
     print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
     common.warn_selection(selection, "the warp for match", "--counts")
     for key, what in (("folded", "folds"), ("vanishing", "has a denominator that vanishes")):

@@ -1,5 +1,16 @@
 """The paper's tables and figures, each a function that `mexpress reproduce NAME` runs.
 
+=====================  ==================================================================================
+``table1``             table 1, figures 2 and 3: what criteria select on simulated sheets;
+                       ``table1_cells``, ``table1_claims`` and ``plot_table1`` sum up, judge and draw it
+``table2``             table 2, figures 4 to 6: which warp transfers a contour; ``two_views`` has the scenes,
+                       ``contours`` the regions, ``transfer`` one trial, and ``table2_cells``,
+                       ``table2_claims`` and ``plot_scenes`` sum up, judge and draw them
+``figures7to10``       surfaces of the data in ``surface_data``, drawn by ``plot_panels``
+``published``          the paper's own numbers
+``experiment``         what all have in common; ``command`` runs them
+=====================  ==================================================================================
+
 Examples
 --------
 >>> from mexpress.paper import EXPERIMENTS

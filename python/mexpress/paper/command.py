@@ -33,21 +33,13 @@ def _add_experiment(experiments: argparse._SubParsersAction[common.Parser], expe
     parser = experiments.add_parser(
         experiment.name, help=experiment.summary, description=f"{experiment.name}: {experiment.summary}."
     )
-    add = parser.add_argument
     if experiment.data:
         simulated = "the data (default: what the experiment simulates)"
-        add("data", metavar=experiment.data, type=Path, nargs="?", help=simulated)
-    add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
-    add("--quick", action="store_true", help="a smaller run of the same kind, within two minutes")
-    add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
-    add(
-        "--threads",
-        type=int,
-        metavar="N",
-        help="at most so many cores (default: MEXPRESS_NUM_THREADS, or all)",
+        parser.add_argument("data", metavar=experiment.data, type=Path, nargs="?", help=simulated)
+    parser.add_argument(
+        "--quick", action="store_true", help="a smaller run of the same kind, within two minutes"
     )
-    add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
-    add("--quiet", action="store_true", help="show no progress")
+    common.add_run(parser)
     parser.set_defaults(run=lambda arguments: _run(experiment, arguments), data=None)
 
 

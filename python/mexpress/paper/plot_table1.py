@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -150,15 +150,7 @@ def _spans(axes: Axes, cells: Sequence[Comparison], what: str) -> None:
         mean = np.array([getattr(getattr(cell, who), what) for cell in cells])
         deviation = np.array([getattr(getattr(cell, who), f"{what}_std") for cell in cells])
         below = np.minimum(deviation, 0.9 * mean) if what == "fit" else deviation  # the axis is logarithmic
-        axes.errorbar(
-            mean,
-            places + offset,
-            xerr=(below, deviation),
-            fmt=marker,
-            color=colour,
-            ms=5,
-            capsize=2.5,
-            label=label,
-        )
+        look: dict[str, Any] = {"fmt": marker, "color": colour, "ms": 5, "capsize": 2.5, "label": label}
+        axes.errorbar(mean, places + offset, xerr=(below, deviation), **look)
     axes.set_yticks(places, [cell.name for cell in cells])
     axes.grid(alpha=0.25, lw=0.6)

@@ -1,7 +1,8 @@
 """Table 1 and figures 2 and 3: what every criterion selects on 450 simulated pairs of images of bent sheets.
 
 All three read the same rows, one for each configuration, number of correspondences and number of control points, in
-``table1-curves.csv`` of the output directory; whichever is made first computes them.
+``table1-curves.sqlite`` of the output directory, and write them as ``table1-curves.csv``; whichever is made first
+computes them.
 """
 
 from __future__ import annotations
@@ -250,17 +251,11 @@ def _figure3(options: Options) -> Outcome:
 _ON_SHEETS = "on 450 simulated pairs of bent sheets"
 
 TABLE1 = Experiment(
-    "table1",
-    f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table",
-    "",
-    _table1,
+    "table1", f"what 13 criteria and the truth select {_ON_SHEETS}, beside the paper's table", "", _table1
 )
 FIGURE2 = Experiment(
     "figure2", f"mean curves of the criteria {_ON_SHEETS}; needs no time after table1", "", _figure2
 )
 FIGURE3 = Experiment(
-    "figure3",
-    f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1",
-    "",
-    _figure3,
+    "figure3", f"what the criteria select {_ON_SHEETS}, drawn; needs no time after table1", "", _figure3
 )

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -167,17 +168,8 @@ def _figure(name: str, kind: str, options: Options) -> Outcome:
     n = scene.sizes[0] if options.quick or not fitting else fitting[-1]
     seed, counts = _seed(options, 0), range(3, largest_count(n) + 1)
     problem = scene.draw(n, seed)
-    trials = {
-        form: trial(
-            problem,
-            form == "fractional",
-            counts,
-            seed=seed,
-            threads=options.threads,
-            progress=options.progress,
-        )
-        for form in FORMS
-    }
+    how: dict[str, Any] = {"seed": seed, "threads": options.threads, "progress": options.progress}
+    trials = {form: trial(problem, form == "fractional", counts, **how) for form in FORMS}
     _write_curves(options.out / f"{name}.csv", trials)
     images = scene.images if isinstance(scene, Recorded) else None
     table_cells = cells(
@@ -220,21 +212,9 @@ TABLE2 = Experiment(
     "DIR",
     _table2,
 )
-FIGURE4 = Experiment(
-    "figure4",
-    "contours transferred in a flat scene, and the criteria",
-    "DIR",
-    lambda options: _figure("figure4", "flat", options),
-)
-FIGURE5 = Experiment(
-    "figure5",
-    "contours transferred in a rigid scene, and the criteria",
-    "DIR",
-    lambda options: _figure("figure5", "rigid", options),
-)
-FIGURE6 = Experiment(
-    "figure6",
-    "contours transferred in a deformable scene, and the criteria",
-    "DIR",
-    lambda options: _figure("figure6", "deformable", options),
+FIGURE4, FIGURE5, FIGURE6 = (
+    Experiment(
+        name, f"contours transferred in a {kind} scene, and the criteria", "DIR", partial(_figure, name, kind)
+    )
+    for name, kind in (("figure4", "flat"), ("figure5", "rigid"), ("figure6", "deformable"))
 )

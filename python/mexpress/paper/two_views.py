@@ -32,7 +32,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,35 +96,6 @@ class Problem:
     target_contour: Rings
     image_size: tuple[float, float] | None
     target_size: tuple[float, float]
-
-
-class Scene(Protocol):
-    """What problems are drawn from.
-
-    Examples
-    --------
-    >>> scene: Scene = Simulated("rigid", "perspective")
-    >>> scene.kind, scene.sizes
-    ('rigid', (51, 103, 206))
-    """
-
-    @property
-    def name(self) -> str:
-        """What tables and files call it."""
-
-    @property
-    def kind(self) -> str:
-        """Return flat, rigid, deformable, or nothing if unknown."""
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of matches to try."""
-
-    def repeats(self, n: int, wanted: int) -> int:
-        """Return how many different draws of n matches to make, at most as many as wanted."""
-
-    def draw(self, n: int, seed: int) -> Problem:
-        """Return a problem with n matches: the same for the same seed."""
 
 
 @dataclass(frozen=True)
@@ -237,6 +208,10 @@ class Recorded:
         contours = self.source_contour, self.target_contour
         data = self.source[seen], self.target[seen]
         return Problem(*data, *truth, *contours, self.image_size, self.target_size)
+
+
+Scene: TypeAlias = Simulated | Recorded
+"""What problems are drawn from."""
 
 
 def digest(scenes: Sequence[Recorded]) -> str:

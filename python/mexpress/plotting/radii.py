@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,29 +53,16 @@ def plot_radii(curve: RadiusCurve, path: PathLike | None = None, *, unit: str | 
     figure = new_figure(7.2, 5.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1])
     above.plot(curve.percents, curve.scores, "o-", color=RED, ms=5)
+    small: dict[str, Any] = {"color": GRAY, "fontsize": 8}
     for percent, score, held in zip(curve.percents, curve.scores, curve.held, strict=True):
         if np.isfinite(score):
-            above.annotate(
-                f"{held:.1f}" if held < 10 else f"{held:.0f}",
-                (percent, score),
-                (0, 8),
-                textcoords="offset points",
-                ha="center",
-                color=GRAY,
-                fontsize=8,
-            )
+            number = f"{held:.1f}" if held < 10 else f"{held:.0f}"
+            above.annotate(number, (percent, score), (0, 8), textcoords="offset points", ha="center", **small)
     above.set_ylabel(with_unit("prediction error", unit))
     above.set_title("Prediction error against exclusion radius", loc="left")
     above.margins(y=0.16)
-    above.text(
-        0.99,
-        0.04,
-        "small numbers: mean number of data held out",
-        transform=above.transAxes,
-        ha="right",
-        color=GRAY,
-        fontsize=8,
-    )
+    note = "small numbers: mean number of data held out"
+    above.text(0.99, 0.04, note, transform=above.transAxes, ha="right", **small)
     share = 100 * np.arange(1, len(curve.reach) + 1) / len(curve.reach)
     below.plot(np.append(0, curve.reach), np.append(0, share), color=BLUE)
     below.set(ylim=(0, 105), xlabel="radius (% of the diagonal)", ylabel="% of the domain\nwithin the radius")
@@ -86,14 +73,7 @@ def plot_radii(curve: RadiusCurve, path: PathLike | None = None, *, unit: str | 
         axes.grid(alpha=0.25, lw=0.6)
     for part in (50, 95):
         place = float(np.percentile(curve.reach, part))
-        below.annotate(
-            f"{part} %: {place:.2g}",
-            (place, part),
-            (6, -4),
-            textcoords="offset points",
-            color=BLUE,
-            fontsize=8,
-            va="top",
-        )
-    below.text(np.mean(_ADVICE), 12, "the paper's advice", ha="center", color=GRAY, fontsize=8)
+        look: dict[str, Any] = {"textcoords": "offset points", "va": "top", "color": BLUE, "fontsize": 8}
+        below.annotate(f"{part} %: {place:.2g}", (place, part), (6, -4), **look)
+    below.text(np.mean(_ADVICE), 12, "the paper's advice", ha="center", **small)
     return saved(figure, path)

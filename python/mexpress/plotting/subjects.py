@@ -59,16 +59,8 @@ class SelectionLike(Protocol):
         """Positions of the selected count and weight."""
 
 
-class SurfaceSelectionLike(Protocol):
-    """A selected surface with its data and the control points in their order, as `mexpress.SurfaceSelection` has it."""
-
-    @property
-    def criterion(self) -> str:
-        """The criterion that selects."""
-
-    @property
-    def count(self) -> int:
-        """The selected number of control points."""
+class SurfaceSelectionLike(SelectionLike, Protocol):
+    """One of surfaces, with its data and the control points in their order, as `mexpress.SurfaceSelection` has it."""
 
     @property
     def surface(self) -> Surface:

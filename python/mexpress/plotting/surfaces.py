@@ -11,16 +11,7 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.models.surface import Surface
-from mexpress.plotting.figures import (
-    BLUE,
-    RED,
-    PathLike,
-    frame,
-    new_figure,
-    percentile,
-    saved,
-    with_unit,
-)
+from mexpress.plotting.figures import BLUE, RED, PathLike, frame, new_figure, percentile, saved, with_unit
 from mexpress.plotting.solids import Solid, draw_solid
 from mexpress.plotting.subjects import SurfaceSelectionLike
 
@@ -305,16 +296,14 @@ def _numbered(number: int, count: int) -> list[int]:
 def _write_number(axes: Axes, place: Floats, number: int, colour: str) -> None:
     from matplotlib.patheffects import withStroke  # noqa: PLC0415  an extra, imported where used
 
-    axes.annotate(
-        f"{number}",
-        (place[0], place[1]),
-        (5, 4),
-        textcoords="offset points",
-        fontsize=9,
-        fontweight="bold",
-        color=colour,
-        path_effects=[withStroke(linewidth=2.5, foreground="white")],
-    )
+    look: dict[str, Any] = {
+        "textcoords": "offset points",
+        "fontsize": 9,
+        "fontweight": "bold",
+        "color": colour,
+    }
+    halo = [withStroke(linewidth=2.5, foreground="white")]
+    axes.annotate(f"{number}", (place[0], place[1]), (5, 4), path_effects=halo, **look)
 
 
 def _data(surface: Surface, points: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:
@@ -323,11 +312,8 @@ def _data(surface: Surface, points: ArrayLike, values: ArrayLike) -> tuple[Float
     measured = check.columns(values, "values", len(where))
     width = surface.parameters.size // len(surface.parameters)
     if measured.size != width * len(where):
-        check.refuse(
-            "values",
-            f"They must have shape ({len(where)}, {width}) like the surface's.",
-            f"shape {measured.shape}",
-        )
+        rule = f"They must have shape ({len(where)}, {width}) like the surface's."
+        check.refuse("values", rule, f"shape {measured.shape}")
     return where, measured.ravel() if width == 1 else measured
 
 
@@ -363,13 +349,8 @@ def _draw_data(axes: Axes, surface: Surface, points: Floats, colours: Floats, **
         for weights in (None, colours)
     )
     right, top = low + cell * np.array([columns, rows])
-    return axes.imshow(
-        _filled(number, total),
-        extent=(low[0], right, low[1], top),
-        origin="lower",
-        interpolation="nearest",
-        **look,
-    )
+    look |= {"extent": (low[0], right, low[1], top), "origin": "lower", "interpolation": "nearest"}
+    return axes.imshow(_filled(number, total), **look)
 
 
 def _filled(number: Floats, total: Floats) -> Floats:
