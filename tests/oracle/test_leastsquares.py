@@ -37,7 +37,7 @@ def quiet(model, scheme, **options):
 
 @pytest.mark.parametrize("penalised", [False, True], ids=["", "penalty"])
 @pytest.mark.parametrize("weighted", [False, True], ids=["", "weights"])
-@pytest.mark.parametrize("responses", [1, 3])
+@pytest.mark.parametrize("responses", [pytest.param(1, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize("coupling", COUPLINGS)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_scheme_equals_its_refits(*, family, coupling, responses, weighted, penalised):

@@ -392,7 +392,7 @@ def loss_problem(A, penalty, coupling):
     return Problem(A, np.random.default_rng(0).normal(size=12), np.arange(12) // coupling, None, extra)
 
 
-@pytest.mark.parametrize("coupling", [1, pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("coupling", [1, *(pytest.param(g, marks=pytest.mark.slow) for g in (2, 3))])
 @pytest.mark.parametrize(("A", "penalty"), LOSSES)
 def test_no_score_from_the_first_lost_column_on(A, penalty, coupling):
     problem = loss_problem(A, penalty, coupling)
@@ -411,6 +411,7 @@ def test_no_score_from_the_first_lost_column_on(A, penalty, coupling):
             assert (undefined[1:] >= undefined[:-1]).all(), held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("A", "penalty"), LOSSES)
 def test_one_lost_pair_leaves_no_score(A, penalty):
     problem = loss_problem(A, penalty, 1)

@@ -308,6 +308,7 @@ def test_texts_that_are_refused(tmp_path, text, says):
     refused(lambda: read_cloud(tmp_path / "c.csv"), says)
 
 
+@pytest.mark.slow
 def test_long_texts_are_read_at_once(tmp_path, monkeypatch):
     table = np.random.default_rng(1).normal(size=(300_000, 3))
     table[7] = np.nan

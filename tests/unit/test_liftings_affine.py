@@ -130,6 +130,7 @@ def test_points_of_a_coarse_lattice_turned_or_not_make_a_triangulation(seed, cou
         assert len(np.unique(mesh.corners)) == len(made)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["grid", "turned grid", "scattered", "points on hull edges", "three"])
 def test_outside_it_goes_on_continuously_from_the_hull(name):
     hats = PiecewiseAffine(SETS[name])

@@ -275,7 +275,9 @@ def test_places_that_are_none_are_refused(name, points, count, argument):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fractional", [True, False])
 @pytest.mark.parametrize("penalised", [True, False])
-@pytest.mark.parametrize("rule", ["loo", "kfold", "er10", "nn5", "delaunay"])
+@pytest.mark.parametrize(
+    "rule", [pytest.param("loo", marks=pytest.mark.slow), "kfold", "er10", "nn5", "delaunay"]
+)
 def test_warps_cross_validate_like_refits(name, fractional, penalised, rule):
     source, random = positions(150), np.random.default_rng(1)
     target = project(HOMOGRAPHY, source) + 5 * np.sin(source[:, ::-1] / 80) + random.normal(size=(150, 2))

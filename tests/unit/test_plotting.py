@@ -165,6 +165,7 @@ def test_warped_grid(selection, tmp_path):
     assert "times as long" in figure.axes[1].get_xlabel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second"),
     [

@@ -77,6 +77,7 @@ def test_squares_face_the_eye():
     np.testing.assert_allclose(np.linalg.norm(np.diff(square, axis=0), axis=1), 2 * solids._DOT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, IMAGE])
 def test_flat_surfaces(tmp_path, more):
     for values in (0 * DEPTH, 0 * DEPTH + 7, np.column_stack([POINTS, 0 * DEPTH])):

@@ -345,6 +345,7 @@ def test_matched_leaves_the_share_that_is_asked_for():
         assert set(s.matched(points, [[9.0, 9.0]], share).held_out.sizes) == {held}
 
 
+@pytest.mark.slow
 def test_matched_on_a_grid_with_ties_everywhere():
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), -1).reshape(-1, 2)
     queries = np.random.default_rng(5).uniform(-8, 28, (500, 2))

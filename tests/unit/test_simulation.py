@@ -32,6 +32,7 @@ def length(points):
     return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", range(10))
 def test_lengths_on_a_sheet_are_kept(index):
     sheet, rng = sheets()[index], np.random.default_rng(index)
