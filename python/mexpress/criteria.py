@@ -84,7 +84,7 @@ class Domain:
         Where the data are, checked.
     diagonal : float
         What ERxx is a percentage of.
-    known_region : Region, optional
+    region : Region, optional
         What the points cover; found when it is needed if not given.
     seed : int
         Of the random schemes.
@@ -99,7 +99,7 @@ class Domain:
 
     points: Floats
     diagonal: float
-    known_region: Region | None = None
+    region: Region | None = None
     seed: Any = 0
     threads: int = 1
 
@@ -107,11 +107,6 @@ class Domain:
     def places(self) -> Places:
         """The points, to be asked who is near whom."""
         return Places(self.points)
-
-    @property
-    def region(self) -> Region:
-        """What the points cover."""
-        return self.known_region or Region(hull(self.points, "points"))
 
 
 def _share(percent: float, n: int) -> int:
@@ -121,7 +116,8 @@ def _share(percent: float, n: int) -> int:
 
 def _matched(domain: Domain) -> Scheme:
     """Distances matched to those from the region that the data cover."""
-    queries = lattice(domain.region.corners, max(LEAST_QUERIES, len(domain.points)))
+    region = domain.region or Region(hull(domain.points, "points"))
+    queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
     return domain.places.matched(queries, threads=domain.threads)
 
 

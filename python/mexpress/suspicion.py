@@ -91,12 +91,7 @@ class Suspects:
 
     @property
     def indices(self) -> Integers:
-        """The suspected data, the worst first, (k,).
-
-        Examples
-        --------
-        See `Suspects`.
-        """
+        """The suspected data, the worst first, (k,)."""
         order = np.argsort(-self.scores, kind="stable")
         return np.asarray(order[self.scores[order] > self.threshold])
 

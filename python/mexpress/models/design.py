@@ -350,10 +350,6 @@ def linear_design(
         What the points cover.
     kind : type
         `Surface` or `Warp`.
-
-    Examples
-    --------
-    See the module.
     """
     return LinearDesign(basis.at(points), values, basis, domain, kind)
 

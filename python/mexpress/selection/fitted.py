@@ -16,7 +16,7 @@ import os
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, ClassVar, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,6 +65,12 @@ class Trials(Generic[ModelT]):
 class FittedSelection(Selection, Generic[ModelT]):
     """A selection with its data, and the model that it selects: `WarpSelection` or `SurfaceSelection`."""
 
+    _unit: ClassVar[str | None] = None
+    """Of the values, if it is known."""
+
+    _most_flexible_count: ClassVar[int]
+    """Control points of the most flexible model that looks for suspects, at most."""
+
     @property
     @abstractmethod
     def _model(self) -> ModelT:
@@ -77,16 +83,6 @@ class FittedSelection(Selection, Generic[ModelT]):
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:
         """The least-squares problem over a basis."""
-
-    @property
-    def _unit(self) -> str | None:
-        """Of the values, if it is known."""
-        return None
-
-    @property
-    @abstractmethod
-    def _most_flexible_count(self) -> int:
-        """Control points of the most flexible model that looks for suspects, at most."""
 
     def least_squares(self, weights: ArrayLike | None = None, threads: int | None = None) -> LeastSquares:
         """Return the least-squares problem of the selected model, to be cross-validated further.

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -66,14 +67,11 @@ class SurfaceSelection(FittedSelection[Surface]):
     values: Floats
     control_points: Floats
     placement: str
+    _most_flexible_count: ClassVar[int] = 100
 
     @property
     def _model(self) -> Surface:
         return self.surface
-
-    @property
-    def _most_flexible_count(self) -> int:
-        return 100
 
     def _data(self) -> Samples:
         return Samples(self.points, self.values, None, Region(self.surface.domain))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -67,6 +68,8 @@ class WarpSelection(FittedSelection[Warp]):
     target: Floats
     image_size: tuple[float, float] | None
     placement: str
+    _unit: ClassVar[str | None] = "pixels of the target image"
+    _most_flexible_count: ClassVar[int] = 30
 
     @property
     def warp(self) -> Warp:
@@ -76,14 +79,6 @@ class WarpSelection(FittedSelection[Warp]):
     @property
     def _model(self) -> Warp:
         return self.warp
-
-    @property
-    def _most_flexible_count(self) -> int:
-        return 30
-
-    @property
-    def _unit(self) -> str:
-        return "pixels of the target image"
 
     def _data(self) -> Matches:
         return Matches(self.source, self.target, None, Region(self.warp.domain), self.image_size)
