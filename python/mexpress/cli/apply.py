@@ -16,8 +16,6 @@ from mexpress.models import files
 from mexpress.models.surface import Surface
 from mexpress.models.warp import Warp
 
-__all__ = ["add_apply"]
-
 
 def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
     """Add the command."""

@@ -14,23 +14,9 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.cli import report as reports
+from mexpress.geometry import inside
 from mexpress.selection import Selection
 from mexpress.selection.weights import AUTO
-
-__all__ = [
-    "Parser",
-    "UsageError",
-    "add_run",
-    "add_selection",
-    "draw",
-    "print_selection",
-    "sizes_summary",
-    "sizes_text",
-    "warn",
-    "warn_outside",
-    "warn_selection",
-    "write_selection",
-]
 
 
 class Parser(argparse.ArgumentParser):
@@ -79,6 +65,12 @@ def add_run(parser: Parser) -> None:
     add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
     add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
     add("--quiet", action="store_true", help="show no progress")
+
+
+def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what `select_warp` and `select_surface` both take."""
+    names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads"
+    return {**{name: getattr(arguments, name) for name in names}, "progress": not arguments.quiet}
 
 
 def _smoothing(text: str) -> float | list[float] | str:
@@ -187,11 +179,7 @@ def sizes_text(sizes: dict[str, float]) -> str:
 
 
 def warn_outside(domain: Floats, points: Floats, total: int, region: str) -> None:
-    """Warn of how many points are outside a model's domain, a convex polygon with counter-clockwise corners."""
-    edges = np.roll(domain, -1, axis=0) - domain
-    about = points[:, None] - domain
-    turns = edges[:, 0] * about[..., 1] - edges[:, 1] * about[..., 0]
-    slack = 1e-9 * np.ptp(domain, axis=0).max() * np.hypot(*edges.T)
-    outside = (turns < -slack).any(axis=1).sum()
+    """Warn of how many points are outside a model's domain, the corners of a convex polygon."""
+    outside = len(points) - np.count_nonzero(inside(domain, *points.T))
     if outside:
         warn(f"{outside} of {total} points are outside {region} extrapolates there")

@@ -20,8 +20,6 @@ from mexpress.criteria import UNITLESS
 from mexpress.io.matches import write_rows
 from mexpress.selection import Selection
 
-__all__ = ["summary", "table", "versions", "write_curves", "write_summary"]
-
 _MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""
 

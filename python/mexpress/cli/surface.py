@@ -17,8 +17,6 @@ from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.selection.surface import MOST
 
-__all__ = ["add_surface"]
-
 _DATA = 10_000
 """As many data as the paper's depth maps have."""
 
@@ -92,16 +90,9 @@ def _run(arguments: argparse.Namespace) -> None:
     selection = select_surface(
         cloud.points,
         cloud.values,
-        criterion=arguments.criterion,
-        criteria=arguments.criteria,
         max_count=arguments.max_count,
         min_distance=arguments.min_distance,
-        smoothing=arguments.smoothing,
-        lifting=arguments.lifting,
-        placement=arguments.placement,
-        seed=arguments.seed,
-        threads=arguments.threads,
-        progress=not arguments.quiet,
+        **common.selection_options(arguments),
     )
     fit = _fit(selection)
     _print(selection, cloud, unit, fit["residuals"])

@@ -18,8 +18,6 @@ from mexpress.io.images import read_image
 from mexpress.placement import lattice
 from mexpress.selection import WarpSelection, select_warp
 
-__all__ = ["add_warp"]
-
 _SAMPLES = 4000
 """Points at which a warp is searched for folds."""
 
@@ -64,17 +62,10 @@ def _run(arguments: argparse.Namespace) -> None:
     selection = select_warp(
         source,
         target,
-        criterion=arguments.criterion,
-        criteria=arguments.criteria,
-        lifting=arguments.lifting,
         fractional=arguments.fractional,
         counts=arguments.counts,
-        placement=arguments.placement,
-        smoothing=arguments.smoothing,
         image_size=size,
-        seed=arguments.seed,
-        threads=arguments.threads,
-        progress=not arguments.quiet,
+        **common.selection_options(arguments),
     )
     health = _health(selection)
     _print(selection, health)

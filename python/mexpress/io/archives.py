@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 
-__all__ = ["ARCHIVES", "read_arrays", "replacing"]
-
 ARCHIVES = {".npy", ".npz"}
 """Endings of the files that `read_arrays` reads."""
 

@@ -24,8 +24,6 @@ from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.images import read_image
 from mexpress.io.text import read_text
 
-__all__ = ["Cloud", "read_cloud"]
-
 _IMAGES = {".png", ".tif", ".tiff", ".pgm"}
 _UNITS_PER_METRE = 1000.0
 _LAYOUTS = (("u", "v", "x", "y", "z"), ("x", "y", "z"))

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 
-__all__ = ["read_image"]
-
 _TIFF = {".tif", ".tiff"}
 
 

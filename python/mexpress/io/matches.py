@@ -21,8 +21,6 @@ from mexpress._validation import Floats
 from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.text import read_text
 
-__all__ = ["read_matches", "read_points", "write_matches", "write_points_csv"]
-
 MATCH_COLUMNS = ("x1", "y1", "x2", "y2")
 POINT_COLUMNS = ("x", "y")
 

@@ -19,8 +19,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.io.archives import replacing
 
-__all__ = ["write_obj", "write_ply"]
-
 _MOST_VERTICES = 2**31 - 1
 """PLY counts vertices in 32 bits."""
 

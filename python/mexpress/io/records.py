@@ -29,8 +29,6 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress.io.archives import replacing
 
-__all__ = ["Records"]
-
 Row: TypeAlias = tuple[Any, ...]
 
 

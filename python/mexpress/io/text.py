@@ -21,8 +21,6 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = ["read_text"]
-
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 
 

@@ -11,8 +11,6 @@ from mexpress.cli import report as reports
 from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome
 from mexpress.plotting.figures import new_figure
 
-__all__ = ["add_reproduce"]
-
 
 def add_reproduce(commands: argparse._SubParsersAction[common.Parser]) -> None:
     """Add the command, with a command of its own for each experiment."""

@@ -26,8 +26,6 @@ from mexpress._validation import Floats
 if TYPE_CHECKING:
     from mexpress.models.warp import Warp
 
-__all__ = ["Mask", "Rings", "jaccard", "outlines", "rasterised", "resampled", "transferred"]
-
 Mask: TypeAlias = NDArray[np.bool_]
 Rings: TypeAlias = tuple[Floats, ...]
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from mexpress import _validation as check
 
-__all__ = ["Experiment", "Options", "Outcome"]
-
 
 @dataclass(frozen=True)
 class Options:

@@ -30,8 +30,6 @@ from mexpress.paper.surface_data import Subject, read_subject, simulated_depth, 
 from mexpress.selection import SurfaceSelection, select_surface
 from mexpress.selection.fit import fit_surface
 
-__all__ = ["CRITERIA", "FIGURE7", "FIGURE8", "FIGURE9", "FIGURE10"]
-
 CRITERIA = (
     *("FIT", "AIC", "BIC", "GCV", "CMPRESS", "KF10", "ER01", "ER05", "ER10"),
     *("NN01PCT", "NN05PCT", "NN10PCT", "DELAUNAY"),

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ALIKE", "PanelFit", "grouped", "plot_fits"]
-
 ALIKE = 0.08
 """Surfaces whose numbers of control points differ by less than this fraction look the same: one of them is drawn."""
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_choices", "plot_scene"]
-
 _LOOKS = {
     "FIT": (GRAY, ":"),
     "PRESS": (SKY, "-"),

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_mean_curves", "plot_selections"]
-
 _GROUPS = {
     "leave-one-out and k-fold": {"PRESS": SKY, "CMPRESS": BLUE, "KF10": "#CC79A7", "KF05": "#7B3F63"},
     "exclusion radius": {"ER01": ORANGE, "ER05": RED, "ER10": "#7A2E00"},

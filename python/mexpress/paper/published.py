@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["CRITERIA", "LOCAL", "PUBLISHED", "SIZES", "Cell"]
-
 SIZES = (15, 30, 150, 500)
 """Numbers of correspondences."""
 

@@ -21,8 +21,6 @@ from mexpress._validation import Floats
 from mexpress.io.clouds import read_cloud
 from mexpress.simulation import Sheet
 
-__all__ = ["Subject", "read_subject", "simulated_depth", "simulated_embedding"]
-
 _PIXELS = (160, 120)
 """Width and height of the simulated depth map."""
 

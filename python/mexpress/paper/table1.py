@@ -27,8 +27,6 @@ from mexpress.paper.table1_claims import claims
 from mexpress.selection import WarpSelection, largest_count, select_warp
 from mexpress.simulation import Configuration, Correspondences
 
-__all__ = ["FIGURE2", "FIGURE3", "TABLE1", "measure"]
-
 _CURVES = "table1-curves.csv"
 _NAMES = ("FIT", *CRITERIA, "TEST")
 _KEY: dict[str, type[int]] = {"source": int, "target": int, "view": int, "n": int}

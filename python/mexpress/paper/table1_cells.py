@@ -18,8 +18,6 @@ import numpy as np
 from mexpress._validation import Floats, Integers
 from mexpress.paper.published import PUBLISHED, Cell
 
-__all__ = ["Comparison", "Curves", "compared", "table"]
-
 
 @dataclass(frozen=True, eq=False)
 class Curves:

@@ -17,8 +17,6 @@ from mexpress.paper.published import LOCAL
 from mexpress.paper.table1_cells import Curves
 from mexpress.selection import largest_count
 
-__all__ = ["Claim", "claims"]
-
 
 @dataclass(frozen=True)
 class Claim:

@@ -35,8 +35,6 @@ from mexpress.paper.two_views import Recorded, Scene, Simulated, digest, read_sc
 from mexpress.selection import largest_count
 from mexpress.simulation.scenes import KINDS, PROJECTIONS
 
-__all__ = ["FIGURE4", "FIGURE5", "FIGURE6", "TABLE2"]
-
 FORMS = ("fractional", "linear")
 
 SHOWN = ("FIT", "PRESS", "CMPRESS", "KF10", "ER05", "ER10", "NN05PCT", "NN10PCT", BEST)

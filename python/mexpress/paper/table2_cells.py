@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from mexpress._validation import Floats
 from mexpress.paper.transfer import CRITERIA, MEASURES
 
-__all__ = ["BEST", "COLUMNS", "KEY", "Cell", "Choice", "Table", "cells", "choices", "losses", "table"]
-
 BEST = "BEST"
 """Beside the criteria: what would have been the best choice, were the truth known."""
 

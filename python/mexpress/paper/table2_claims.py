@@ -22,8 +22,6 @@ from mexpress.paper.table1_claims import Claim
 from mexpress.paper.table2_cells import Cell
 from mexpress.paper.transfer import CRITERIA
 
-__all__ = ["HOLDS", "findings"]
-
 HOLDS = 0.9
 """A statement holds if it is true in this share of its cells at least."""
 

@@ -24,8 +24,6 @@ from mexpress.paper.two_views import Problem
 from mexpress.placement import lattice
 from mexpress.selection import WarpSelection, select_warp
 
-__all__ = ["CRITERIA", "MEASURES", "Trial", "trial"]
-
 CRITERIA = ("FIT", *published.CRITERIA)
 """Of the paper's tables."""
 

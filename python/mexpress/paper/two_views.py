@@ -46,8 +46,6 @@ from mexpress.paper.contours import Rings, outlines, rasterised, resampled
 from mexpress.placement import covered_region, lattice
 from mexpress.simulation.scenes import KINDS
 
-__all__ = ["SIZES", "Problem", "Recorded", "Scene", "Simulated", "digest", "read_scenes"]
-
 SIZES = (51, 103, 206)
 """Numbers of matches in the paper's experiment."""
 

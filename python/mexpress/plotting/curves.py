@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-__all__ = ["plot_selection"]
-
 _HUES: dict[str, tuple[tuple[str, ...], str]] = {
     "FIT": ((GRAY,), "-"),
     "PRESS": ((SKY,), "-"),

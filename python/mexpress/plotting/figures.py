@@ -13,23 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BLUE",
-    "GRAY",
-    "GREEN",
-    "ORANGE",
-    "RED",
-    "SKY",
-    "YELLOW",
-    "PathLike",
-    "frame",
-    "logarithmic",
-    "new_figure",
-    "percentile",
-    "saved",
-    "with_unit",
-]
-
 # Okabe and Ito's colours, told apart by the colour-blind too.
 BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
 ORANGE, RED, GRAY = "#E69F00", "#D55E00", "#777777"

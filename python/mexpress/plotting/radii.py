@@ -12,8 +12,6 @@ from mexpress.radii import RadiusCurve
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_radii"]
-
 _ADVICE = (5.0, 10.0)
 
 

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = ["Extent", "as_image", "blended", "extent", "gray_behind", "pixel_centres", "reduced", "sampled"]
-
 _DISPLAYED = 1000
 """Pixels along the longer side of a displayed image."""
 

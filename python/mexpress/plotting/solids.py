@@ -19,8 +19,6 @@ from mexpress.plotting.figures import percentile, with_unit
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
-__all__ = ["Solid", "View", "draw_solid"]
-
 _DOTS = 2000
 """About so many data are drawn."""
 

@@ -8,8 +8,6 @@ from typing import Protocol
 from mexpress._validation import Floats, Integers
 from mexpress.models.surface import Surface
 
-__all__ = ["SelectionLike", "SurfaceSelectionLike"]
-
 
 class SelectionLike(Protocol):
     """Scores of models and what they choose, as `mexpress.Selection` has them; one of warps has a `warp` too."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import area
 from mexpress.models.surface import Surface
 from mexpress.plotting.figures import BLUE, RED, PathLike, frame, new_figure, percentile, saved, with_unit
 from mexpress.plotting.solids import Solid, draw_solid
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
-
-__all__ = ["plot_control_points", "plot_residuals", "plot_surface"]
 
 _LAST = 10
 """Control points that came last, as in the paper's figure 7."""
@@ -337,11 +336,8 @@ def _draw_data(axes: Axes, surface: Surface, points: Floats, colours: Floats, **
     """Draw numbers where the data are: dots if they are few, else an image that they fill."""
     if len(points) <= _FEW:
         return axes.scatter(points[:, 0], points[:, 1], c=colours, s=36, linewidths=0, **look)
-    corners = surface.domain
-    following = np.roll(corners, -1, axis=0)
-    area = 0.5 * float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    cell = max(0.75 * float(np.sqrt(area / len(points))), float(extent.max()) / _CELLS)
+    cell = max(0.75 * float(np.sqrt(area(surface.domain) / len(points))), float(extent.max()) / _CELLS)
     columns, rows = (extent // cell).astype(int) + 1
     x, y = ((points - low) // cell).astype(int).T
     number, total = (

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from mexpress.models.warp import Warp
 
-__all__ = ["plot_registration", "plot_warp"]
-
 _GRID, _CELLS = 16, 200
 """Lines of a warped grid, and samples of where a warp fails, along the longer side."""
 

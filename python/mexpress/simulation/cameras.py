@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
-__all__ = ["Camera"]
-
 IMAGE_SIZE = (1920.0, 1080.0)
 """Width and height in pixels."""
 

@@ -17,8 +17,6 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.simulation.cameras import FOCAL, facing, look
 
-__all__ = ["Sheet", "sheets"]
-
 COUNT = 10
 """Sheets in a set, as in the paper."""
 

@@ -18,8 +18,6 @@ from mexpress.simulation.cameras import FILL, FOCAL, IMAGE_SIZE, Camera, in_fram
 from mexpress.simulation.developable import COUNT, Sheet, sheets
 from mexpress.simulation.poses import random_camera
 
-__all__ = ["Configuration", "Correspondences", "configurations", "correspondences"]
-
 VIEWS = 5
 """Poses and focal lengths for each pair of sheets."""
 

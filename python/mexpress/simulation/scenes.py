@@ -14,8 +14,6 @@ from mexpress.simulation.developable import HEIGHT, WIDTH, Sheet, sheets
 from mexpress.simulation.pairs import Correspondences, match, stream
 from mexpress.simulation.poses import random_camera
 
-__all__ = ["scene"]
-
 KINDS = ("flat", "rigid", "deformable")
 PROJECTIONS = ("affine", "perspective")
 
