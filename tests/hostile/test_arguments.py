@@ -54,6 +54,7 @@ COVERED = {
     "schemes",
     "select_surface",
     "select_warp",
+    "show_versions",  # test_versions.py
     "IndexSets",
     "Scheme",
     "delaunay",
