@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-rest test-all nightly check hooks bench rooms docs clean
+.PHONY: help demo test test-rest test-all nightly check hooks bench mutants rooms docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -44,6 +44,10 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/smoothing.py auto
 	$(BIN)/python -m pytest benches --benchmark-group-by=group
 	cargo bench --locked
+
+mutants: ## Break the core's arithmetic line by line, and list what no Rust test notices (hours)
+	cargo mutants --version >/dev/null 2>&1 || cargo install cargo-mutants --locked
+	cargo mutants --no-shuffle --output target
 
 hooks: $(VENV)/dev ## Check format, lint and types at every commit from now on
 	$(BIN)/pre-commit install

@@ -4,7 +4,9 @@ use std::sync::atomic::AtomicBool;
 
 use mexpress::error::Error;
 use mexpress::fit::factor::{Factor, Problem};
+use mexpress::holdout::nested::{Curve, Held, Nested, Scheme};
 use mexpress::holdout::pairs::{Pairs, Predictions, Status};
+use mexpress::near::neighbours::LazyNeighbourhoods;
 use mexpress::pool::Pool;
 use mexpress::sets::Sets;
 use proptest::prelude::*;
@@ -64,6 +66,61 @@ impl Case {
             targets: pick(&self.targets, self.responses),
             weights: pick(&self.weights, 1),
             ..self.clone()
+        }
+    }
+
+    /// The model of the first columns.
+    fn lead(&self, size: usize) -> Self {
+        let cut =
+            |matrix: &[f64]| matrix.chunks_exact(self.columns).flat_map(|row| row[..size].to_vec()).collect();
+        Self { columns: size, design: cut(&self.design), penalty: cut(&self.penalty), ..self.clone() }
+    }
+
+    /// What every leading model says of a scheme.
+    fn curves(&self, schemes: &[Scheme<'_>], threads: usize) -> Vec<Curve> {
+        let sizes: Vec<usize> = (1..=self.columns).collect();
+        self.with_problem(|problem| {
+            let nested = Nested::new(problem, &pool(threads)).unwrap();
+            nested.curves(problem, schemes, &singles(self.rows), &sizes, &pool(threads)).unwrap()
+        })
+    }
+
+    /// The same by a refit of every leading model for every pair: sums of squares, and how many models each pair defines.
+    fn refitted_curve(&self, held: &Sets, validated: &Sets) -> (Vec<f64>, Vec<usize>) {
+        let (mut squares, mut defined) = (vec![0.0; self.columns], vec![self.columns; held.len()]);
+        let models: Vec<(Self, Factor)> =
+            (1..=self.columns).map(|size| self.lead(size)).map(|m| (m.clone(), m.fit())).collect();
+        for pair in 0..held.len() {
+            let training: Vec<usize> = (0..self.rows).filter(|i| !held.get(pair).contains(i)).collect();
+            for (k, (model, fit)) in models.iter().enumerate() {
+                let refit = model.keep(&training).fit();
+                if refit.rank < fit.rank {
+                    defined[pair] = defined[pair].min(k);
+                    squares[k] = f64::NAN;
+                    continue;
+                }
+                let residuals = model.residuals(&refit, validated.get(pair));
+                for (e, &i) in residuals.chunks_exact(self.responses).zip(validated.get(pair)) {
+                    squares[k] += self.weights[i] * e.iter().map(|e| e * e).sum::<f64>();
+                }
+            }
+        }
+        (squares, defined)
+    }
+
+    /// Fails unless a scheme's curve is that of refits, relative to the responses or the curve.
+    fn assert_refits(&self, curve: &Curve, held: &Sets, validated: &Sets, tolerance: f64) {
+        let (squares, defined) = self.refitted_curve(held, validated);
+        let scale: f64 = self
+            .targets
+            .chunks_exact(self.responses)
+            .zip(&self.weights)
+            .map(|(b, w)| w * b.iter().map(|b| b * b).sum::<f64>())
+            .sum();
+        assert_eq!(curve.defined, defined);
+        for (ours, plain) in curve.squares.iter().zip(&squares) {
+            assert_eq!(ours.is_nan(), plain.is_nan());
+            assert!(!((ours - plain).abs() > tolerance * plain.max(scale)), "{ours} {plain}");
         }
     }
 
@@ -194,6 +251,32 @@ proptest! {
         }
     }
 
+    /// Single rows, windows that are listed or found when needed, and sets of any size: the dual, the primal, and chains.
+    #[test]
+    fn leading_models_are_refits(case in cases(), seed in any::<u64>(), size in 1usize..20) {
+        let n = case.rows;
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(seed | 1));
+        let mut some = order[..size.min(n - 1)].to_vec();
+        some.sort_unstable();
+        let reach = 2.min(n / 2 - 1);
+        let windows: Sets = (0..n).map(|i| (i.saturating_sub(reach)..n.min(i + reach + 1)).collect()).collect();
+        let places: Vec<f64> = (0..n).map(|i| i as f64).collect();
+        let lazy = LazyNeighbourhoods::within(&places, 1, reach as f64).unwrap();
+        let (alone, every): (Sets, Vec<usize>) = (singles(n), (0..n).collect());
+        let (one, part): (Sets, Sets) = ([some.clone()].into_iter().collect(), [some[..some.len().div_ceil(2)].to_vec()].into_iter().collect());
+        let schemes = [
+            Scheme { held: Held::Sets(&windows), validated: &alone, order: &every },
+            Scheme { held: Held::Sets(&alone), validated: &alone, order: &every },
+            Scheme { held: Held::Lazy(&lazy), validated: &lazy.singletons, order: &every },
+            Scheme { held: Held::Sets(&one), validated: &part, order: &[0] },
+        ];
+        let curves = case.curves(&schemes, 2);
+        for (curve, (held, validated)) in curves.iter().zip([(&windows, &alone), (&alone, &alone), (&windows, &alone), (&one, &part)]) {
+            case.assert_refits(curve, held, validated, 1e-8);
+        }
+    }
+
     #[test]
     fn rows_may_come_in_any_order(case in cases()) {
         let reversed: Vec<usize> = (0..case.rows).rev().collect();
@@ -263,7 +346,6 @@ proptest! {
 /// A column that the training rows see at a fraction of its length, and weights that count whatever becomes of the pair.
 #[test]
 fn pairs_near_rank_loss_are_refits_too() {
-    let entry = |k: usize| ((k * 7919 + k * k % 104_729) % 1000) as f64 / 500.0 - 1.0;
     let ways =
         [(1.0, Status::Closed), (1e-4, Status::Refined), (1e-7, Status::Refitted), (0.0, Status::Undefined)];
     for (fraction, status) in ways {
@@ -293,12 +375,139 @@ fn pairs_near_rank_loss_are_refits_too() {
     }
 }
 
+/// A number between -1 and 1 for every index.
+fn entry(k: usize) -> f64 {
+    ((k * 7919 + k * k % 104_729) % 1000) as f64 / 500.0 - 1.0
+}
+
+/// A weighted problem of two responses; the fourth column is seen by the last two rows, and by the others at a fraction.
+fn nearly_lost(rows: usize, columns: usize, fraction: f64, penalised: bool) -> Case {
+    let share = |i: usize, j: usize| if j == 3 && i + 2 < rows { fraction } else { 1.0 };
+    Case {
+        rows,
+        columns,
+        responses: 2,
+        design: (0..rows * columns).map(|k| share(k / columns, k % columns) * entry(3 * k + 1)).collect(),
+        targets: (0..2 * rows).map(|k| entry(5 * k + 2)).collect(),
+        weights: (0..rows).map(|i| 1.2 + entry(7 * i)).collect(),
+        penalty: if penalised {
+            (0..2 * columns).map(|k| share(0, k % columns) * entry(k)).collect()
+        } else {
+            Vec::new()
+        },
+    }
+}
+
+/// Few rows and many, few columns and many: every way through nested models that is close to rank loss or not.
+#[test]
+fn leading_models_near_rank_loss_are_refits_too() {
+    for (rows, columns) in [(40, 5), (40, 16), (1100, 6)] {
+        for fraction in [1.0, 1e-2, 1e-4, 1e-7, 0.0] {
+            for penalised in [false, true] {
+                let case = nearly_lost(rows, columns, fraction, penalised);
+                let held: Sets =
+                    [vec![rows - 2, rows - 1], vec![3], vec![1, 3, rows - 2, rows - 1]].into_iter().collect();
+                let validated: Sets = [vec![rows - 1], vec![3], vec![1, rows - 2]].into_iter().collect();
+                let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: &[0, 1, 2] };
+                case.assert_refits(&case.curves(&[scheme], 1)[0], &held, &validated, 1e-8);
+            }
+        }
+    }
+}
+
+/// Columns that depend on those before add no model; the others are still refits.
+#[test]
+fn leading_models_of_dependent_columns() {
+    let mut case = nearly_lost(30, 9, 1.0, true);
+    for matrix in [&mut case.design, &mut case.penalty] {
+        for row in matrix.chunks_exact_mut(9) {
+            row[2] = 0.0;
+            row[5] = row[1] - 2.0 * row[4];
+        }
+    }
+    let (alone, order): (Sets, Vec<usize>) = (singles(30), (0..30).collect());
+    let scheme = Scheme { held: Held::Sets(&alone), validated: &alone, order: &order };
+    case.assert_refits(&case.curves(&[scheme], 2)[0], &alone, &alone, 1e-9);
+    case.with_problem(|problem| {
+        let nested = Nested::new(problem, &pool(1)).unwrap();
+        let fits = nested.fits(&[1, 3, 6, 9], &pool(2)).unwrap();
+        for (fit, size) in fits.iter().zip([1, 3, 6, 9]) {
+            let (model, plain) = (case.lead(size), case.lead(size).fit());
+            let rows: Vec<usize> = (0..30).collect();
+            let squares: f64 = model
+                .residuals(&plain, &rows)
+                .chunks_exact(2)
+                .zip(&case.weights)
+                .map(|(e, w)| w * (e[0] * e[0] + e[1] * e[1]))
+                .sum();
+            assert_eq!(fit.rank, plain.rank);
+            assert!((fit.squares - squares).abs() < 1e-12 * squares);
+            assert!((fit.parameters - plain.leverage.iter().sum::<f64>()).abs() < 1e-12);
+            let mut solved = model.fit();
+            solved.coefficients = nested.coefficients(size);
+            assert!(close(&model.residuals(&solved, &rows), &model.residuals(&model.fit(), &rows), 1e-12));
+        }
+        assert_eq!(nested.fits(&[2, 1], &pool(1)).err(), Some(Error::Decreasing { index: 1 }));
+    });
+}
+
+/// Long enough for several tasks: matrices are taken from the pair before and from the smaller scheme, whatever the order.
+#[test]
+fn schemes_together_are_each_alone_for_any_number_of_threads() {
+    let case = nearly_lost(700, 12, 1e-3, false);
+    let places: Vec<f64> = (0..700).map(|i| i as f64).collect();
+    let near = |reach: f64| LazyNeighbourhoods::within(&places, 1, reach).unwrap();
+    let (small, large) = (near(6.0), near(30.0));
+    let order: Vec<usize> = (0..350).chain((350..700).rev()).collect();
+    let scheme = |lazy| Scheme { held: Held::Lazy(lazy), validated: &small.singletons, order: &order };
+    let both = case.curves(&[scheme(&large), scheme(&small)], 1);
+    let bits = |curve: &Curve| curve.squares.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    for threads in [2, 3] {
+        let again = case.curves(&[scheme(&large), scheme(&small)], threads);
+        assert!(again.iter().zip(&both).all(|(a, b)| bits(a) == bits(b) && a.defined == b.defined));
+    }
+    for (curve, lazy, reach) in [(&both[0], &large, 30), (&both[1], &small, 6)] {
+        let alone = &case.curves(&[scheme(lazy)], 1)[0];
+        assert!(close(&alone.squares, &curve.squares, 1e-11));
+        let listed: Sets =
+            (0..700usize).map(|i| (i.saturating_sub(reach)..700.min(i + reach + 1)).collect()).collect();
+        let predicted = case.predict(&case.fit(), &listed, &singles(700), 2);
+        let weighted = |i: usize| {
+            case.weights[i] * predicted.residuals[2 * i..2 * i + 2].iter().map(|e| e * e).sum::<f64>()
+        };
+        let whole: f64 = (0..700).map(weighted).sum();
+        assert!((curve.squares[11] - whole).abs() < 1e-9 * whole);
+    }
+}
+
+#[test]
+fn bad_schemes_are_errors() {
+    let case = nearly_lost(10, 2, 1.0, false);
+    let (alone, far): (Sets, Sets) = (singles(10), [vec![10]].into_iter().collect());
+    let ten = Error::Index { index: 10, bound: 10 };
+    let schemes = [
+        (Scheme { held: Held::Sets(&far), validated: &far, order: &[0] }, ten),
+        (Scheme { held: Held::Sets(&alone), validated: &alone, order: &[10] }, ten),
+        (Scheme { held: Held::Sets(&alone), validated: &far, order: &[0] }, ten),
+        (
+            Scheme { held: Held::Sets(&alone), validated: &singles(9), order: &[0] },
+            Error::Length { expected: 10, given: 9 },
+        ),
+    ];
+    case.with_problem(|problem| {
+        let nested = Nested::new(problem, &pool(1)).unwrap();
+        for (scheme, error) in schemes {
+            let found = nested.curves(problem, &[scheme], &singles(10), &[1, 2], &pool(1));
+            assert_eq!(found.err(), Some(error));
+        }
+    });
+}
+
 /// Tall enough for many blocks and many chunks: the stacked factorisation is still orthonormal and still the design's, and
 /// threads change no bit.
 #[test]
 fn tall_designs_keep_an_orthonormal_basis() {
     let (rows, columns) = (9001, 11);
-    let entry = |k: usize| ((k * 7919 + k * k % 104_729) % 1000) as f64 / 500.0 - 1.0;
     let case = Case {
         rows,
         columns,
@@ -344,6 +553,11 @@ fn bad_shapes_are_errors() {
     assert_eq!(found, Some(Error::Index { index: 3, bound: 3 }));
     problem.design = &[1.0; 5];
     assert_eq!(Factor::new(&problem, &pool(1)).err(), Some(Error::Length { expected: 6, given: 5 }));
+    let nothing = Problem { design: &[], responses: &[], ..problem };
+    for (rows, columns) in [(0, 2), (3, 0), (0, 0)] {
+        let empty = Problem { rows, columns, ..nothing };
+        assert_eq!(Factor::new(&empty, &pool(1)).err(), Some(Error::Length { expected: 1, given: 0 }));
+    }
 }
 
 #[test]

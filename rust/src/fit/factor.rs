@@ -36,9 +36,12 @@ impl Problem<'_> {
     }
 
     fn check(&self) -> Result<usize, Error> {
+        if self.rows.min(self.columns) == 0 {
+            return Err(Error::Length { expected: 1, given: 0 });
+        }
         expect_length(self.design.len(), self.rows * self.columns)?;
-        expect_length(self.penalty.len() % self.columns.max(1), 0)?;
-        let responses = self.responses.len() / self.rows.max(1);
+        expect_length(self.penalty.len() % self.columns, 0)?;
+        let responses = self.responses.len() / self.rows;
         expect_length(self.responses.len(), self.rows * responses)?;
         self.root_weights.map_or(Ok(()), |weights| expect_length(weights.len(), self.rows))?;
         Ok(responses)
@@ -119,7 +122,7 @@ impl Factor {
     /// What a basis tells of the responses, without coefficients.
     fn fit(problem: &Problem<'_>, basis: Vec<f64>, rank: usize, pool: &Pool<'_>) -> Result<Self, Error> {
         let Problem { rows, columns, .. } = *problem;
-        let responses = problem.responses.len() / rows.max(1);
+        let responses = problem.responses.len() / rows;
         let mut factor = Self {
             rows,
             columns,

@@ -16,9 +16,6 @@ const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
 /// Above this lambda_min(M) the training rows have the rank of the design; below, those of an ill-conditioned one may not.
 pub(super) const CERTAIN_MIN_EIGENVALUE: f64 = 1e-5;
 
-/// Steps of a chain that share matrices; the next ones start afresh, so that rounding does not grow.
-const SHARED_STEPS: usize = 64;
-
 /// Multiply-adds of a task, so that none delays an interrupt.
 const TASK_COST: f64 = 1e9;
 
@@ -85,7 +82,7 @@ impl Sweep<'_> {
         let coupling = self.nested.factor.rows as f64 / self.rows.len().max(1) as f64;
         let cost = |&s: &usize| p * p * (p / 6.0 + coupling * rim(self.schemes[s].held.mean()) / 2.0);
         let most = (TASK_COST / chain.iter().map(cost).sum::<f64>().max(1.0)) as usize;
-        (length / 32).clamp(8, SHARED_STEPS).min(most).max(1)
+        (length / 32).max(8).min(most).max(1)
     }
 
     pub(super) fn rows_of(&self, data: &[usize]) -> Vec<usize> {
