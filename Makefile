@@ -42,7 +42,7 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/reproduce.py
 	$(BIN)/python benches/smoothing.py map
 	$(BIN)/python benches/smoothing.py auto
-	$(BIN)/python -m pytest benches --benchmark-group-by=group
+	$(BIN)/python -m pytest benches/test_*.py --benchmark-group-by=group
 	cargo bench --locked
 
 mutants: ## Break the core's arithmetic line by line, and list what no Rust test notices (hours)
