@@ -270,3 +270,11 @@ def test_largest_count_of_the_paper():
 def test_largest_count_is_half_but_for_two(n):
     expected = {10: 6, 15: 7}.get(n, min((n + 1) // 2, 100))
     assert largest_count(n) == expected
+
+
+def test_the_old_name_of_the_scorer_still_works_and_says_so():
+    with pytest.warns(DeprecationWarning, match=r"criteria\.Judge is now criteria\.Scorer"):
+        judge = mx.criteria.Judge
+    assert judge is Scorer
+    with pytest.raises(AttributeError, match="no attribute 'Jury'"):
+        mx.criteria.Jury  # noqa: B018
