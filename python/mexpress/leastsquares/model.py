@@ -1,11 +1,4 @@
-"""Linear least squares, factorised once and cross-validated in closed form.
-
-Examples
---------
->>> import mexpress as mx
->>> mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
-LeastSquares(3 data, 3 rows, 1 columns, rank 1, fit_rms=2.160247)
-"""
+"""Linear least squares: one factorisation, then cross-validation in closed form."""
 
 from __future__ import annotations
 
@@ -26,13 +19,11 @@ from mexpress.schemes import Scheme
 
 
 class RankLossWarning(UserWarning):
-    """Some held-out sets leave training rows that no longer determine the model.
-
-    What they would predict is NaN, and so is the score.
+    """Without some held-out set, the other rows no longer determine the model: predictions and score are NaN.
 
     Examples
     --------
-    The third row alone sees the second column:
+    Only the third row has an entry in the second column:
 
     >>> import warnings
     >>> import mexpress as mx
@@ -48,7 +39,7 @@ class RankLossWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CrossValidation:
-    """Prediction residuals of a scheme, and their score.
+    """The prediction residuals of a scheme and their score.
 
     Parameters
     ----------
@@ -57,11 +48,11 @@ class CrossValidation:
     residuals : (k,) or (k, r) array
         Prediction residuals of the validated rows, pair after pair, in the responses' unit; NaN where undefined.
     rows : (k,) int64 array
-        The rows of the design that the residuals belong to.
+        The row of the design of each residual.
     pairs : (k,) int64 array
-        The pairs of the scheme that they belong to.
+        The pair of the scheme of each residual.
     undefined : int64 array
-        The pairs whose training rows lost rank; empty as a rule.
+        The pairs whose training rows lose rank; usually empty.
 
     Examples
     --------
@@ -86,47 +77,47 @@ class CrossValidation:
 class LeastSquares:
     """A linear least-squares fit: ``min sum_i w_i ||b_i - A_i x||^2 + ||Z x||^2``.
 
-    The design is factorised once; every prediction residual then follows in closed form,
-    ``e_(K) = (I - H_KK)^-1 e_K`` (equation 6), without refitting.
+    The design is factorised once. Every prediction residual then has the closed form
+    ``e_(K) = (I - H_KK)^-1 e_K`` (equation 6), without a refit.
 
     Parameters
     ----------
     A : (m, p) array
-        Design matrix. The model keeps it, not a copy, if it is a float64 array in C order, and `b` likewise: do
-        not change them while the model is in use.
+        Design matrix. The model keeps `A` and `b` without a copy if they are float64 arrays in C order: do not change
+        them while the model is in use.
     b : (m,) or (m, r) array
-        Responses; r of them share the design (equation 4).
+        Responses; r responses share the design (equation 4).
     coupling : int or (m,) int array, default 1
-        How rows make up data: the number of consecutive rows of each datum, or the datum of every row,
-        labelled 0 to n - 1. Rows of a datum are held out together.
+        The number of consecutive rows per datum, or the datum of every row, labelled 0 to n - 1. The rows of a datum
+        are held out together.
     weights : (n,) array, optional
-        Positive weight of each datum, in the fit and in the scores; within a factor of 1e12.
+        Positive weight of each datum, in the fit and in the scores. The largest is at most 1e12 times the smallest.
     penalty : (k, p) array, optional
-        Z: rows that are never held out, to be made small (`A` and `Z` both count for the rank).
+        Z. Its rows are never held out; they count for the rank as the rows of `A` do.
     threads : int, optional
-        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+        Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
 
     Attributes
     ----------
     coefficients : (p,) or (p, r) array
-        x. If rank is lost, the solution of least norm when columns have unit length.
+        x. Without full rank, the solution of least norm for columns scaled to unit length.
     residuals : (m,) or (m, r) array
         b - A x.
     leverage : (m,) array
         Diagonal of the hat matrix, from 0 to 1; its sum is the effective number of parameters.
     rank : int
-        Rank of ``[A; Z]``, columns at unit length, by the rule of `numpy.linalg.matrix_rank`.
+        Rank of ``[A; Z]`` with columns scaled to unit length, by the rule of `numpy.linalg.matrix_rank`.
     n_data : int
         Number of data, n.
 
     Raises
     ------
     ValueError, TypeError
-        If a shape does not fit, an entry is not a finite number, or one of `b` exceeds 1e303.
+        If a shape does not fit, an entry is not a finite number, or an entry of `b` exceeds 1e303.
 
     Examples
     --------
-    A straight line through five points, the last of them off:
+    A straight line fitted to five points, of which the last is an outlier:
 
     >>> import mexpress as mx
     >>> import numpy as np
@@ -214,10 +205,10 @@ class LeastSquares:
 
     @property
     def press(self) -> float:
-        """P, every row held out on its own: ``P^2 = sum_j w_j (e_j / (1 - h_jj))^2 / sum_j w_j``, equation (3).
+        """P, with every row held out on its own: ``P^2 = sum_j w_j (e_j / (1 - h_jj))^2 / sum_j w_j``, equation (3).
 
-        The sums are over rows, and w_j is the weight of the row's datum; without weights this is the mean over
-        rows. NaN, with a `RankLossWarning`, if a row alone determines some part of the model.
+        w_j is the weight of the datum of row j. P is NaN, with a `RankLossWarning`, if the model is not determined
+        without some row.
 
         Examples
         --------
@@ -257,19 +248,19 @@ class LeastSquares:
         return prediction.residuals[np.argsort(np.argsort(order))]
 
     def hat_blocks(self, sets: IndexSets | None = None, *, threads: int | None = None) -> list[Floats]:
-        """Diagonal blocks ``H_KK`` of the hat matrix, without the matrix.
+        """Diagonal blocks ``H_KK`` of the hat matrix, computed without the whole matrix.
 
         Parameters
         ----------
         sets : IndexSets, optional
-            Sets of rows; the rows of each datum if not given.
+            Sets of rows; the rows of each datum by default.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Returns
         -------
         list of (q, q) arrays
-            One a set, of the weighted design if there are weights.
+            One per set, of the weighted design if there are weights.
 
         Examples
         --------
@@ -284,25 +275,24 @@ class LeastSquares:
         return _square_blocks(flat, blocks.sizes)
 
     def prediction_spread(self, scheme: Scheme, threads: int | None = None) -> list[Floats]:
-        """How far noise alone drives the prediction residuals of every pair: ``((I - H_KK)^-1)_TT``.
+        """Covariance of the prediction residuals of every pair under noise of variance one: ``((I - H_KK)^-1)_TT``.
 
-        That is their covariance, in units of the variance of noise that is independent and the same in all rows; each
-        response has the same. With weights it is that of residuals times the root of the weight, and in units
-        of the variance of a row of weight one. With a penalty it is larger than the covariance, which leaves out
-        the model's own error.
+        The noise is independent, with the same variance in all rows, and every response has the same covariance. With
+        weights, the residuals are multiplied by the roots of their weights, and the unit is the variance of a row of
+        weight one. With a penalty, the matrix exceeds the covariance, which
+        does not include the error of the model.
 
         Parameters
         ----------
         scheme : Scheme
-            From `mexpress.schemes`; over this model's data.
+            A scheme over this model's data, see `mexpress.schemes`.
         threads : int, optional
-            At most so many threads. The result does not depend on it.
+            Largest number of threads. The result does not depend on it.
 
         Returns
         -------
         list of (t, t) arrays
-            One a pair, for the rows of the validated data in the order of `cross_validate`; NaN if the pair's training
-            rows lose rank.
+            One per pair, for its validated rows in the order of `cross_validate`; NaN if the training rows lose rank.
 
         Examples
         --------
@@ -319,19 +309,19 @@ class LeastSquares:
         return _square_blocks(flat, np.diff(ends))
 
     def cross_validate(self, scheme: Scheme, threads: int | None = None) -> CrossValidation:
-        """Predict the validated data of every pair of a scheme, its held-out data left out of the fit.
+        """Predict the validated data of every pair of a scheme from the data that the pair does not hold out.
 
         Parameters
         ----------
         scheme : Scheme
-            From `mexpress.schemes`; over this model's data.
+            A scheme over this model's data, see `mexpress.schemes`.
         threads : int, optional
-            At most so many threads. The result does not depend on it.
+            Largest number of threads. The result does not depend on it.
 
         Returns
         -------
         CrossValidation
-            With NaN for a score, and a `RankLossWarning`, if a pair's training rows lose rank.
+            The score is NaN, with a `RankLossWarning`, if the training rows of a pair lose rank.
 
         Examples
         --------
@@ -350,7 +340,7 @@ class LeastSquares:
         return result
 
     def _part(self, whole: CrossValidation, first: int, last: int) -> CrossValidation:
-        """The pairs first..last - 1 alone, scored."""
+        """The cross-validation of the pairs first..last - 1, with its score."""
         a, b = np.searchsorted(whole.pairs, [first, last])
         lost = whole.undefined[(whole.undefined >= first) & (whole.undefined < last)] - first
         residuals, rows = whole.residuals[a:b], whole.rows[a:b]
@@ -366,7 +356,7 @@ class LeastSquares:
         threads: int | None,
         order: Integers | None = None,
     ) -> CrossValidation:
-        """Residuals of all pairs, not yet scored; an order of the data that keeps neighbours together saves time."""
+        """Residuals of all pairs without a score; an order of the data that keeps neighbours together saves time."""
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(
@@ -383,20 +373,20 @@ class LeastSquares:
         return CrossValidation(np.nan, flat, rows, pairs, lost)
 
     def _share_of_row(self, rows: Integers | slice) -> Floats:
-        """Weights of rows, each a part of its datum's: a datum's weight counts once, however many rows it has."""
+        """Weight of each row: the weight of its datum divided by the number of rows of the datum."""
         parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
         return parts if self._row_weights is None else parts * self._row_weights[rows]
 
 
 def datum_of_row(model: LeastSquares) -> Integers:
-    """The datum that each row of the design belongs to, (m,)."""
+    """The datum of each row of the design, (m,)."""
     data = np.empty(len(model.leverage), dtype=np.int64)
     data[model._coupling.indices] = np.repeat(np.arange(model.n_data), model._coupling.sizes)
     return data
 
 
 def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Integers]:
-    """PRESS, and the rows that alone determine some part of the model."""
+    """PRESS, and the rows without which the model is not determined."""
     m, weights = len(model.leverage), model._row_weights
     alone = singletons(m)
     prediction = model._predict(alone, alone, alone, threads)
@@ -407,7 +397,7 @@ def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Inte
 def cross_validate_all(
     model: LeastSquares, schemes: Mapping[str, Scheme], threads: int | None
 ) -> dict[str, CrossValidation]:
-    """Every scheme in one call, so that the core sees all the work and shares what it can."""
+    """Cross-validate all schemes in one call, so that the core shares work between them."""
     if not schemes:
         return {}
     for scheme in schemes.values():
@@ -426,7 +416,7 @@ def cross_validate_all(
 
 
 def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
-    """A scheme is over the model's data."""
+    """Refuse a scheme that is not over the model's data."""
     if not isinstance(scheme, Scheme):
         rule = "It must come from mexpress.schemes."
         check.refuse("scheme", rule, check.describe(scheme), TypeError)
@@ -436,13 +426,13 @@ def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
 
 
 def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
-    """Square matrices that stand one after another."""
+    """Split a flat array into square matrices."""
     parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(sizes) else []
     return [part.reshape(size, size) for part, size in zip(parts, sizes, strict=True)]
 
 
 def _first_validated(scheme: Scheme) -> Integers:
-    """A datum of each pair that validates any, in the order of the visits."""
+    """The first validated datum of each pair that has one, in the visiting order."""
     pairs = scheme.visiting_order[scheme.validated.sizes[scheme.visiting_order] > 0]
     return scheme.validated.indices[scheme.validated.offsets[pairs]]
 

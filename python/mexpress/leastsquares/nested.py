@@ -1,17 +1,7 @@
-"""Every leading model of one design at once: model l has the first l columns.
+"""All leading models of one design at once: model l has the first l columns.
 
 With an unpivoted factor of ``I - Q_K^T Q_K`` the predictions of all models are cumulative sums, so the whole curve of a
-criterion costs what one model does. Surfaces add one control point, which is one column, at a time.
-
-Examples
---------
->>> import mexpress as mx
->>> import numpy as np
->>> x = np.linspace(0, 1, 40)
->>> A, b = np.vander(x, 8, increasing=True), np.cos(9 * x)
->>> curve = mx.cross_validate_nested(A, b, range(1, 9), {"CMPRESS": mx.schemes.leave_one_out(40)})["CMPRESS"]
->>> int(np.argmin(curve)) + 1
-8
+criterion costs as much as the largest model. A surface adds one control point, that is one column, at a time.
 """
 
 from __future__ import annotations
@@ -31,12 +21,12 @@ from mexpress.leastsquares.problem import Problem, penalty_rows
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
 _BLOCK = 2048
-"""Neighbourhoods in one call of the core: progress shows between calls."""
+"""Neighbourhoods in one call of the core; progress is shown between calls."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitSummaries:
-    """The fits of all models: root mean square residuals E, equation (11), trace(H), and rank."""
+    """E (equation 11), trace(H) and the rank of every model."""
 
     rms: Floats
     parameters: Floats
@@ -45,17 +35,14 @@ class FitSummaries:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NestedCurve:
-    """One scheme's scores of all models, NaN where undefined, and of each pair how many of the models are defined."""
+    """Scores of one scheme for every model, NaN where undefined, and the number of defined models of every pair."""
 
     scores: Floats
     defined: Integers
 
 
 class Nested:
-    """A least-squares problem whose leading columns are models; factorised once.
-
-    Parameters are those of `mexpress.LeastSquares`.
-    """
+    """A least-squares problem whose leading columns are models; see `mexpress.LeastSquares` for the parameters."""
 
     def __init__(
         self,
@@ -69,7 +56,7 @@ class Nested:
     ) -> None:
         problem = Problem.of(A, b, coupling, weights, penalty)
         design, responses, roots, rows = problem.arrays
-        # Sums of squares must neither overflow nor vanish; a power of two changes no digit.
+        # Sums of squares must neither overflow nor vanish; scaling by a power of two is exact.
         exponent = int(np.frexp(np.abs(responses).max())[1])
         scaled = np.ldexp(responses, -exponent)
         self._core = _core.Nested(design, scaled, roots, rows, check.threads(threads))
@@ -82,12 +69,12 @@ class Nested:
         self.n_data = len(problem.coupling)
 
     def coefficients(self, size: int) -> Floats:
-        """Solve for the model of the first columns: x, (size,) or (size, r)."""
+        """Solution x of the model of the first columns, (size,) or (size, r)."""
         x = np.ldexp(np.ascontiguousarray(self._core.coefficients(size)), self._unit)
         return x[:, 0] if self._flat else x
 
     def fits(self, sizes: Integers, threads: int | None = None) -> FitSummaries:
-        """Fit the models with these numbers of columns."""
+        """Fit the models of these numbers of columns."""
         squares, parameters, rank = self._core.fits(sizes, check.threads(threads))
         total = self._total(np.arange(self.n_data), self._coupling)
         return FitSummaries(self._rms(squares, total), parameters, rank)
@@ -99,10 +86,10 @@ class Nested:
         threads: int | None = None,
         on_step: Callable[[], None] | None = None,
     ) -> dict[str, NestedCurve]:
-        """Cross-validate the models with these numbers of columns, increasing, by schemes over the data.
+        """Cross-validate the models of these numbers of columns, increasing, by schemes over the data.
 
-        Listed schemes go through the core in one call, neighbourhoods together in blocks; `on_step` is called
-        after each, as often as `steps` says.
+        The core takes all listed schemes in one call, and all neighbourhoods in blocks; `on_step` is called after
+        each call, `steps(n_data)` times in all.
         """
         listed = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Scheme)}
         lazy = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, LazyNeighbourhoods)}
@@ -163,7 +150,7 @@ class Nested:
 
 
 def steps(n_data: int) -> int:
-    """How often `Nested.curves` reports."""
+    """How many times `Nested.curves` calls `on_step`."""
     return 1 + -(-n_data // _BLOCK)
 
 
@@ -178,39 +165,39 @@ def cross_validate_nested(
     penalty: ArrayLike | None = None,
     threads: int | None = None,
 ) -> dict[str, Floats]:
-    """Cross-validate nested models, the first s columns of a design for every size s, by any schemes.
+    """Cross-validate nested models by any schemes: the model of size s has the first s columns of the design.
 
-    The same as ``LeastSquares(A[:, :s], b, ...).cross_validate(scheme).score`` for every size and scheme, for about the
-    price of the largest size alone.
+    The result equals ``LeastSquares(A[:, :s], b, ...).cross_validate(scheme).score`` for every size and scheme, at
+    about the cost of the largest size alone.
 
     Parameters
     ----------
     A : (m, p) array
-        Design matrix. Order the columns as the models grow.
+        Design matrix, its columns in the order in which the models take them.
     b : (m,) or (m, r) array
-        Responses; r of them share the design (equation 4).
+        Responses; r responses share the design (equation 4).
     sizes : increasing list of int, from 1 to p
         Numbers of columns.
     schemes : mapping of str to Scheme
-        By names of one's own. Schemes that validate the same data are computed together and share work.
+        Schemes by any names. Schemes that validate the same data are computed together and share work.
     coupling, weights, penalty, threads : optional
-        As for `LeastSquares`; of the penalty rows a model has the same first columns.
+        As for `LeastSquares`; a model takes the same first columns of the penalty.
 
     Returns
     -------
     dict of str to (k,) array
-        P of every size, in the responses' unit, by the names of the schemes. NaN where the rows that a pair
-        leaves do not determine the model: from one size on, all are.
+        P of every size, in the responses' unit, by the names of the schemes. NaN where the training rows of a pair do
+        not determine the model, and for all larger sizes.
 
     Raises
     ------
     ValueError, TypeError
-        If the problem, a size or a scheme is none.
+        If the problem, a size or a scheme is invalid.
 
     Notes
     -----
     With M = I - Q_K^T Q_K = L L^T for all p columns, u = L^-1 q_i and v = L^-1 (Q^T b - Q_K^T b_K), model l predicts
-    ``sum_{j<=l} u_j v_j`` at row i: leading blocks of L factor leading blocks of M.
+    ``sum_{j<=l} u_j v_j`` at row i, since leading blocks of L factor leading blocks of M.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""One penalised design at every weight of its penalty, for little more than the price of one.
+"""One penalised design at every weight of its penalty, for little more than the price of one weight.
 
-With ``[A; sqrt(v) Z] = [Q_A; Q_Z] R`` for some weight v, and ``Q_A = U C V^T`` its singular value decomposition,
-the columns of ``Q_Z V`` are orthogonal, of lengths S, and ``C^2 + S^2 = I``. At any weight w the design's part of the
-orthonormal basis of ``[A; sqrt(w) Z]`` is then, but for a rotation that hat matrices do not feel, ``U D`` with
+With ``[A; sqrt(v) Z] = [Q_A; Q_Z] R`` for some weight v, and the singular value decomposition ``Q_A = U C V^T``,
+the columns of ``Q_Z V`` are orthogonal with lengths S, and ``C^2 + S^2 = I``. At any weight w, the rows of the design
+in an orthonormal basis of ``[A; sqrt(w) Z]`` are ``U D``, up to a rotation that does not change the hat matrix, with
 
     D = C (C^2 + (w / v) S^2)^(-1/2)
 
@@ -30,13 +30,7 @@ from mexpress.leastsquares.model import LeastSquares
 class FittedAt:
     """A fit, and the coefficients of its design; None if they are not determined.
 
-    The fit may have coordinates of its own: its residuals, leverages and whatever is cross-validated are the design's.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> FittedAt.of(mx.LeastSquares([[1.0, 1.0]], [2.0])).coefficients is None
-    True
+    The fit may have other unknowns than the design, but its residuals, leverages and predictions are the design's.
     """
 
     model: LeastSquares
@@ -44,30 +38,19 @@ class FittedAt:
 
     @classmethod
     def of(cls, model: LeastSquares) -> "FittedAt":
-        """Wrap a fit of the design as it is."""
+        """Wrap a fit whose unknowns are those of the design."""
         return cls(model, model.coefficients if model.rank == len(model.coefficients) else None)
 
 
 class PenaltyPath:
-    """A least-squares problem that is factorised for all weights of its penalty.
-
-    Parameters
-    ----------
-    A : (m, p) array
-        Design matrix.
-    b : (m,) or (m, r) array
-        Responses.
-    coupling : int
-        Rows of A per datum.
-    Z : (k, p) array
-        Penalty rows.
+    """A least-squares problem, factorised once for all weights of its penalty rows Z, (k, p).
 
     Attributes
     ----------
     determined : bool
         Whether A and Z together determine the coefficients.
     rank : int
-        Rank of A alone, as rounding of the common factorisation lets it be seen.
+        Rank of A alone, up to rounding in the common factorisation.
     """
 
     def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats) -> None:
@@ -80,10 +63,10 @@ class PenaltyPath:
         pivots, lengths = np.diagonal(triangle), np.linalg.norm(triangle, axis=0)
         small = np.abs(pivots) <= rounding * lengths[: len(pivots)]
         self.determined = len(triangle) == p and not small.any()
-        # Directions that A does not see have coefficient zero at any weight, and are left out.
+        # Directions in the null space of A have coefficient zero at any weight, and are omitted.
         self._left, cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
         sines = np.linalg.norm(basis[m:] @ right.T, axis=0)
-        # Rounding, times the root of an extreme weight, would be a penalty on what bends nothing.
+        # Rounding, times the root of an extreme weight, would penalise directions without bending energy.
         self._cosines, self._sines = (np.where(part > rounding, part, 0.0) for part in (cosines, sines))
         self._back = np.linalg.solve(triangle, right.T) if self.determined else right.T
         self.rank = int(np.count_nonzero(self._cosines))

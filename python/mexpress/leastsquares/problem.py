@@ -1,10 +1,4 @@
-"""A least-squares problem as the core takes it: what users hand in, checked once.
-
-Examples
---------
->>> Problem.of([[1.0], [1.0]], [2.0, 3.0], coupling=2)
-Problem(1 data, 2 rows, 1 columns)
-"""
+"""A least-squares problem as the core takes it, checked once."""
 
 from __future__ import annotations
 
@@ -18,20 +12,13 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.index_sets import IndexSets
 
-# Residuals of the lightest data lose half as many digits as the weights span.
+# If the weights span d digits, residuals of the smallest weight lose d / 2 digits.
 WEIGHT_RATIO = 1e12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """A least-squares problem as the core takes it, checked.
-
-    Examples
-    --------
-    >>> from mexpress.leastsquares.problem import Problem
-    >>> Problem.of([[1], [1]], [2, 3], weights=[1, 16]).row_weights
-    array([0.0625, 1.    ])
-    """
+    """A least-squares problem as the core takes it, checked."""
 
     design: Floats
     responses: Floats
@@ -48,7 +35,7 @@ class Problem:
         weights: ArrayLike | None = None,
         penalty: ArrayLike | None = None,
     ) -> Problem:
-        """Check what `LeastSquares` is given."""
+        """Check the arguments of `LeastSquares`."""
         design = check.matrix(A, "A")
         m, p = design.shape
         responses = check.columns(b, "b", m)
@@ -69,7 +56,7 @@ class Problem:
 
 
 def _couple(coupling: Any, m: int) -> IndexSets:
-    """Rows of every datum."""
+    """The rows of every datum."""
     rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
     if check.array(coupling, "coupling", rule).ndim == 0:
         g = check.count(coupling, "coupling", 1)
@@ -87,9 +74,9 @@ def _couple(coupling: Any, m: int) -> IndexSets:
 
 
 def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats | None, int]:
-    """Weight of every row, divided by the power of four that brings the largest near one, and its exponent.
+    """Weight of every row over the power of four that brings the largest weight near one, and the exponent.
 
-    Fits and scores depend on ratios alone, and roots of these weights times responses do not overflow.
+    Fits and scores depend on ratios of weights alone, and roots of these weights times responses do not overflow.
     """
     if weights is None:
         return None, 0
@@ -111,7 +98,7 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats |
 
 
 def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
-    """Finite penalty rows of p columns, checked."""
+    """Check penalty rows: p columns, finite."""
     rows = check.real(penalty, "penalty")
     if rows.ndim != 2 or rows.shape[1] != p:
         check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {rows.shape}")
@@ -119,7 +106,7 @@ def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
 
 
 def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
-    """Penalty rows beside weights that are divided by a power of four."""
+    """Penalty rows, scaled to match weights that are divided by a power of four."""
     rows = penalty_rows(penalty, p)
     with np.errstate(over="ignore"):
         scaled = np.ldexp(rows, -exponent)
