@@ -1,4 +1,4 @@
-"""What warps and surfaces share: parameters of a lifting over the region of their data, in memory and in files."""
+"""The common part of warps and surfaces: parameters of a lifting over the region of their data."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from mexpress.models import files
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Model(ABC):
-    """A fitted `Warp` or `Surface`: callable, picklable, and described wholly by a few arrays.
+    """A fitted `Warp` or `Surface`: callable, picklable, and fully described by a few arrays.
 
     Parameters
     ----------
     lifting : Lifting
-        With l control points.
+        A lifting with l control points.
     parameters : array_like, (l, ...)
-        One column a function.
+        One column per function.
     domain : array_like, (k, 2), or Region
-        Points that the model was fitted on, or what they cover. Their convex hull is kept; outside it the model
-        extrapolates.
+        Points of the fit, or the region that they cover. The model keeps their convex hull and extrapolates outside it.
     smoothing : float
-        Weight of the bending energy that it was fitted with.
+        Weight of the bending energy in its fit.
     """
 
     lifting: Lifting
@@ -42,7 +41,7 @@ class Model(ABC):
     kind: ClassVar[str]
 
     def __init_subclass__(cls) -> None:
-        if "kind" in vars(cls):  # a class derived from one of ours is loaded as ours
+        if "kind" in vars(cls):  # files of a subclass of Warp or Surface load as a Warp or Surface
             files.KINDS[cls.kind] = cls
 
     def __post_init__(self) -> None:
@@ -57,14 +56,14 @@ class Model(ABC):
 
     @abstractmethod
     def _checked_parameters(self) -> Floats:
-        """The parameters, of a shape that suits the lifting."""
+        """Parameters of a shape that suits the lifting."""
 
     @abstractmethod
     def __call__(self, points: ArrayLike) -> Floats:
         """Return the model's values at points, (k, 2)."""
 
     def __reduce__(self) -> tuple[type[Self], tuple[Lifting, Floats, Floats, float]]:
-        # Without what is cached, and read-only again once unpickled.
+        # Caches are not pickled, and unpickled arrays are read-only again.
         return type(self), (self.lifting, self.parameters, self.domain, self.smoothing)
 
     def _description(self) -> str:
@@ -73,24 +72,16 @@ class Model(ABC):
 
     @property
     def control_points(self) -> Floats:
-        """Control points, (l, 2), in the unit of the points that the model takes.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> mx.fit_surface(square, [0, 2, 2, 5], square[:3]).control_points
-        array([[0., 0.], [2., 0.], [0., 2.]])
-        """
+        """Control points, (l, 2), in the unit of the points."""
         return self.lifting.control_points
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model to a file, which `mexpress.load` reads.
+        """Write the model to a file for `mexpress.load`.
 
         Parameters
         ----------
         path : str or path
-            Name of the file, taken as it is.
+            Name of the file; no ending is added.
 
         Examples
         --------
@@ -129,7 +120,7 @@ class Model(ABC):
         Parameters
         ----------
         arrays : mapping of str to ndarray
-            As `to_arrays` returns them; others are ignored.
+            The result of `to_arrays`; other names are ignored.
 
         Examples
         --------

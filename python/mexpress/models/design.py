@@ -1,20 +1,16 @@
-"""Fits of warps and surfaces as linear least-squares problems: from functions to a design, and back.
+"""Fits of warps and surfaces as linear least-squares problems: the way from functions to a design, and back.
 
-A warp without denominator is a surface of two values, so both are a `LinearDesign`; with a denominator a warp is a
-`FractionalDesign`. Either takes the functions of a lifting as they are (`CardinalBasis`), or thin-plate splines in an
-order of their control points (`NestedBasis`): then the first columns are the design of the first control points, and
-all numbers of control points can be judged at once.
+A surface, or a warp without a denominator (a surface of two values), is a `LinearDesign`; a warp with a denominator is
+a `FractionalDesign`. Either takes the functions of a lifting (`CardinalBasis`), or thin-plate splines in an order of
+their control points (`NestedBasis`). With a `NestedBasis`, the first columns are the design of the first control
+points, and all numbers of control points can be scored at once.
 
 Examples
 --------
 >>> import numpy as np
->>> from mexpress.liftings import ThinPlateSpline
->>> from mexpress.models import CardinalBasis, NestedBasis, Surface, linear_design
+>>> from mexpress.models import NestedBasis, Surface, linear_design
 >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
->>> depths = np.array([0.0, 2.0, 2.0, 4.0])
->>> linear_design(CardinalBasis(ThinPlateSpline(square)), square, depths, Region.of(square), Surface)
-LinearDesign(4 x 4, CardinalBasis(ThinPlateSpline(4 control points)))
->>> linear_design(NestedBasis(square), square, depths, Region.of(square), Surface).columns(3)
+>>> linear_design(NestedBasis(square), square, np.array([0.0, 2.0, 2.0, 4.0]), Region.of(square), Surface).columns(3)
 3
 """
 
@@ -41,7 +37,7 @@ ModelT = TypeVar("ModelT", bound=Model)
 
 @dataclass(frozen=True)
 class CardinalBasis:
-    """The functions of a lifting as they are: parameters are, with most liftings, values at the control points.
+    """The functions of a lifting; with most liftings, parameters are values at the control points.
 
     Examples
     --------
@@ -69,42 +65,42 @@ class CardinalBasis:
         return self.functions.bending()
 
     def lifting(self, count: int) -> Lifting:
-        """Return the lifting: of all its control points, for it has no smaller one inside."""
+        """Return the lifting; it has all control points, since its basis is not nested."""
         return self.functions
 
     def parameters(self, count: int) -> Floats:
-        """Return what coefficients are multiplied by to be the lifting's parameters: the identity."""
+        """Return the matrix from coefficients to parameters of the lifting: the identity."""
         return np.eye(count)
 
     def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
         """Return rows @ origin and rows @ N, for rows (n, l): all p_3 with normal . p_3 = 1 are origin + N z.
 
-        The origin has parameters all the same, and N is an orthonormal complement of the normal. `one` is what a row
-        makes of the constant function 1: 1 if the rows are values, 0 if they are bendings.
+        The parameters of the origin are all equal, and N is an orthonormal complement of the normal. `one` is the image
+        of the constant function 1 under a row: 1 if the rows are values, 0 if they are bendings.
         """
         mirror = normal / np.linalg.norm(normal)
         sign = 1.0 if mirror[0] >= 0 else -1.0
-        # Householder's reflection takes the normal to the first axis, and the other axes to its complement.
+        # A Householder reflection maps the normal to the first axis, and the other axes to its complement.
         mirror[0] += sign
         complement = (np.eye(len(mirror)) - np.outer(mirror, mirror / (sign * mirror[0])))[:, 1:]
         return rows @ np.full(len(normal), 1 / normal.sum()), rows @ complement
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
-        """Return the columns of p_1 (l), of p_2 (l) and of z (l - 1), one after another."""
+        """Return the columns of p_1 (l), p_2 (l) and z (l - 1), one block after another."""
         columns = np.arange(3 * count - 1)
         return columns[:count], columns[count : 2 * count], columns[2 * count :]
 
 
 class NestedBasis:
-    """Thin-plate splines in an order of their control points: the first functions are a basis of their own.
+    """Thin-plate splines in an order of their control points: the first k functions belong to the first k of them.
 
-    The functions psi_k are those of `mexpress.liftings.nested_basis`. A denominator is 1 + sum z_k (psi_k - its mean)
-    over all functions but the first: a condition that does not change with the control points that follow.
+    The functions psi_k are those of `mexpress.liftings.nested_basis`. A denominator is 1 + sum z_k (psi_k - mean of
+    psi_k) over all functions except the first, so the condition on it does not depend on later control points.
 
     Parameters
     ----------
     control_points : array_like, (l, 2)
-        In their order; the first three not on a line, and best far apart.
+        In their order. The first three are not on a line, and are best far apart.
 
     Raises
     ------
@@ -134,7 +130,7 @@ class NestedBasis:
         return self._splines.at(points)
 
     def bending(self) -> Floats:
-        """Return the rows Z of the bending energy, (l - 3, l): first columns are those of the first functions."""
+        """Return the rows Z of the bending energy, (l - 3, l); their first columns are those of the first functions."""
         return self._splines.bending()
 
     def lifting(self, count: int) -> Lifting:
@@ -142,16 +138,16 @@ class NestedBasis:
         return ThinPlateSpline(self._control_points[:count])
 
     def parameters(self, count: int) -> Floats:
-        """Return the first functions at the first control points: a spline's parameters are its values there."""
+        """Return the first functions at the first control points: the parameters of a spline are its values there."""
         centres = self._control_points[:count]
         return NestedSplines(centres).at(centres)
 
     def denominators(self, rows: Floats, normal: Floats, one: float = 1.0) -> tuple[Floats, Floats]:
-        """Return what rows make of the constant 1, and of every function but the first less its mean."""
+        """Return the images under the rows of the constant 1, and of every function except the first minus its mean."""
         return np.full(len(rows), one), (rows - one * normal[: rows.shape[1]])[:, 1:]
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
-        """Return the columns of the first three control points, eight, then three for each of the others."""
+        """Return the columns of the first three control points (eight), then three columns for each later one."""
         later = np.arange(8, 3 * count - 1, 3)
         first = np.concatenate([[0, 1, 2], later])
         second = np.concatenate([[3, 4, 5], later + 1])
@@ -163,7 +159,7 @@ Basis: TypeAlias = CardinalBasis | NestedBasis
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design(ABC, Generic[ModelT]):
-    """Minimise ||b - A x||^2 + smoothing ||Z x||^2, with Z the bending energy of a warp or a surface.
+    """Minimise ||b - A x||^2 + smoothing ||Z x||^2, where ||Z x||^2 is the bending energy of a warp or a surface.
 
     Attributes
     ----------
@@ -172,11 +168,11 @@ class Design(ABC, Generic[ModelT]):
     b : ndarray, (m,) or (m, r)
         Responses.
     basis : Basis
-        Functions that the model is made of.
+        Functions of the model.
     domain : Region
-        What the data cover.
+        Region that the data cover.
     weights : ndarray, (n,), or None
-        Of the data; one each if None.
+        Weights of the data; 1 each if None.
     coupling : int
         Rows of A per datum.
     """
@@ -198,11 +194,11 @@ class Design(ABC, Generic[ModelT]):
 
     @abstractmethod
     def columns(self, count: int) -> int:
-        """Return how many columns belong to the first control points."""
+        """Return the number of columns of the first control points."""
 
     @abstractmethod
     def bending(self) -> Floats:
-        """Return the rows Z, (k, p); with a nested basis their first columns are those of the smaller designs."""
+        """Return the rows Z, (k, p); with a nested basis, their first columns are those of the smaller designs."""
 
     @abstractmethod
     def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> ModelT:
@@ -211,28 +207,29 @@ class Design(ABC, Generic[ModelT]):
         Parameters
         ----------
         x : array_like, (columns(count),) or (columns(count), r)
-            Coefficients of the first columns; those of later columns are taken as 0.
+            Coefficients of the first columns; those of later columns are 0.
         count : int, optional
-            Number of control points; all of them if not given.
+            Number of control points; all by default.
         smoothing : float
-            Weight of the bending energy that they were found with; the model keeps it.
+            Weight of the bending energy in the fit, which the model keeps.
         """
 
     def weighted(self, weights: Floats | None) -> Self:
-        """Return the design with weights of the data."""
+        """Return the design with other weights of the data."""
         return replace(self, weights=weights)
 
     def fit(self, smoothing: float = 0.0, threads: int | None = None) -> LeastSquares:
-        """Fit the design with a weight of its bending energy."""
+        """Fit the design with a weight of the bending energy."""
         rows = math.sqrt(smoothing) * self.bending() if smoothing else None
         return LeastSquares(self.A, self.b, self.coupling, self.weights, rows, threads=threads)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearDesign(Design[ModelT]):
-    """A surface, or a warp without denominator: every value is a response, and all share the functions.
+    """A surface, or a warp without a denominator: every value is a response, and all responses share the functions.
 
-    The bending energy is of one value, in its unit per unit of the points; it applies to every response.
+    The bending energy is that of one value, in (unit of the value)^2 per (unit of the points)^2; it applies to every
+    response.
 
     Attributes
     ----------
@@ -250,6 +247,8 @@ class LinearDesign(Design[ModelT]):
     >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
     >>> plane = CardinalBasis(ThinPlateSpline(square[:3]))
     >>> design = linear_design(plane, square, np.array([0.0, 2.0, 2.0, 4.0]), Region.of(square), Surface)
+    >>> design
+    LinearDesign(4 x 3, CardinalBasis(ThinPlateSpline(3 control points)))
     >>> design.model(design.fit().coefficients)
     Surface(depth, tps, 3 control points)
     """
@@ -257,7 +256,7 @@ class LinearDesign(Design[ModelT]):
     kind: type[ModelT]
 
     def columns(self, count: int) -> int:
-        """Return how many columns belong to the first control points: one each."""
+        """Return the number of columns of the first control points: one each."""
         return count
 
     def bending(self) -> Floats:
@@ -275,8 +274,9 @@ class LinearDesign(Design[ModelT]):
 class FractionalDesign(Design[Warp]):
     """The algebraic error of a warp with a denominator, in pixels of the target image.
 
-    The bending energy is of the warp's three functions with the target centred, the denominator times `scale`: all are
-    then in pixels of the target image, and a similarity of it does not matter.
+    The bending energy is the sum over the three functions of the warp, with the target centred and the denominator
+    times `scale`. All three are then in pixels of the target image, and a similarity of that image does not change the
+    solution.
 
     Attributes
     ----------
@@ -297,6 +297,8 @@ class FractionalDesign(Design[Warp]):
     >>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
     >>> homography = CardinalBasis(ThinPlateSpline(square[:3]))
     >>> design = fractional_design(homography, square, 2 * square, Region.of(square))
+    >>> design
+    FractionalDesign(8 x 8, CardinalBasis(ThinPlateSpline(3 control points)))
     >>> design.model(design.fit().coefficients)
     Warp(fractional tps, 3 control points)
     """
@@ -307,11 +309,11 @@ class FractionalDesign(Design[Warp]):
     coupling: ClassVar[int] = 2
 
     def columns(self, count: int) -> int:
-        """Return how many columns belong to the first control points: three each, less one."""
+        """Return the number of columns of the first control points: three each, minus one."""
         return 3 * count - 1
 
     def bending(self) -> Floats:
-        """Return the rows Z, (3k, 3l - 1): those of the basis for each of the three functions."""
+        """Return the rows Z, (3k, 3l - 1): those of the basis, for each of the three functions."""
         one = self.basis.bending()
         first, second, third = self.basis.blocks(self.count)
         rows = np.zeros((3, len(one), self.A.shape[1]))
@@ -336,20 +338,10 @@ class FractionalDesign(Design[Warp]):
 def linear_design(
     basis: Basis, points: Floats, values: Floats, domain: Region, kind: type[ModelT]
 ) -> LinearDesign[ModelT]:
-    """Write the fit of a surface, or of a warp without denominator, as a linear least-squares problem.
+    """Write the fit of a surface, or of a warp without a denominator, as a linear least-squares problem.
 
-    Parameters
-    ----------
-    basis : Basis
-        Functions.
-    points : ndarray, (n, 2)
-        Positions of the data, finite.
-    values : ndarray, (n,) or (n, d)
-        Values there: depths, points in space, or target points of a warp.
-    domain : Region
-        What the points cover.
-    kind : type
-        `Surface` or `Warp`.
+    `points` (n, 2) are finite; `values` (n,) or (n, d) are depths, points in space, or target points of a warp; `kind`
+    is `Surface` or `Warp`.
     """
     return LinearDesign(basis.at(points), values, basis, domain, kind)
 
@@ -360,8 +352,8 @@ def fractional_design(
     """Write the fit of a warp with a denominator as a linear least-squares problem (eqs. 16-21).
 
     The algebraic error of match i is s (t p_3 . nu - p . nu) for p = p_1, p_2 and t = x, y of the target point, centred
-    and in units of s. With denominators of mean one it is close to the transfer error in pixels. The solution does not
-    change, but for rounding, with a similarity of either image.
+    and in units of s. With denominators of mean one, it is close to the transfer error in pixels. A similarity of
+    either image changes the solution only by rounding.
 
     Parameters
     ----------
@@ -370,19 +362,12 @@ def fractional_design(
     source, target : ndarray, (n, 2)
         Matches in pixels, finite.
     domain : Region
-        What the source points cover.
+        Region that the source points cover.
     over_data : bool, optional
         Whether the denominators have mean one over the matches, as nested models need it. Otherwise their parameters
-        do, as in the paper (eq. 19): for a thin-plate spline that is the mean over the control points, and the default
-        of its cardinal form. Control points of other liftings may be far from the matches, where a denominator can
-        grow while it vanishes over them.
-
-    Examples
-    --------
-    >>> from mexpress.liftings import ThinPlateSpline
-    >>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
-    >>> fractional_design(CardinalBasis(ThinPlateSpline(square)), square, square, Region.of(square))
-    FractionalDesign(8 x 11, CardinalBasis(ThinPlateSpline(4 control points)))
+        have mean one, as in the paper (eq. 19): for a thin-plate spline that is the mean over the control points, and
+        the default of a cardinal basis. Control points of other liftings may be far from the matches, where a
+        denominator can grow while it vanishes over the matches.
     """
     functions = basis.at(source)
     n, count = functions.shape
@@ -404,5 +389,5 @@ def fractional_design(
 def _model(
     kind: type[ModelT], lifting: Lifting, parameters: Floats, domain: Region, smoothing: float
 ) -> ModelT:
-    # A region stands for its corners, and is not looked for again.
+    # A Region passes as the array of its corners, and is not computed again.
     return kind(lifting, parameters, cast(Floats, domain), smoothing)

@@ -1,11 +1,4 @@
-"""Models in files: one .npz archive of plain arrays, safe to read from strangers.
-
-Examples
---------
->>> import mexpress.models.files
->>> sorted(mexpress.models.files.KINDS)
-['surface', 'warp']
-"""
+"""Models in files: one .npz archive of plain arrays, which is safe to load from any source."""
 
 import os
 from pathlib import Path
@@ -20,41 +13,23 @@ VERSION = 1
 
 
 KINDS: dict[str, Any] = {}
-"""Every class of models that files can hold, by its kind; `Model` enters its subclasses."""
+"""Classes of models in files, by their kind; `Model` adds its subclasses."""
 
 
 def save(model: Any, path: str | os.PathLike[str]) -> None:
-    """Write a model to a file.
-
-    Parameters
-    ----------
-    model : Model
-        A warp, or another model whose class is in `KINDS`.
-    path : str or path
-        Name of the file, taken as it is. A file of this name is replaced once the new one is complete.
+    """Write a model, of a class in `KINDS`, to a file; an existing file is replaced once the new one is complete.
 
     Raises
     ------
     TypeError
-        If the model is none that files can hold.
+        If the class of the model is not in `KINDS`.
     OSError
-        If the file cannot be written; an older file of this name is then untouched.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import mexpress as mx
-    >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-    >>> warp = mx.fit_warp(square, [[5, 5], [90, 0], [0, 110], [95, 99]], square[:3])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save(warp, f"{folder}/warp.npz")
-    ...     bool((mx.load(f"{folder}/warp.npz").parameters == warp.parameters).all())
-    True
+        If the file cannot be written; an existing file is then unchanged.
     """
     if KINDS.get(getattr(model, "kind", "")) is not type(model):
         raise TypeError(f"Invalid model. It must be one of {_class_names()}. Given {type(model).__name__}.")
     header = {"format": np.array(FORMAT), "version": np.array(VERSION), "kind": np.array(model.kind)}
-    with replacing(path) as file:  # by name, np.savez would append .npz to it
+    with replacing(path) as file:  # np.savez would append .npz to a name
         np.savez(file, allow_pickle=False, **header, **model.to_arrays())
 
 
@@ -64,19 +39,19 @@ def load(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or path
-        Name of the file. Nothing in it is executed.
+        Name of the file. Loading executes nothing in it.
 
     Returns
     -------
     Warp or another model
-        Equal to the saved one, bit for bit.
+        Equal to the saved model, bit for bit.
 
     Raises
     ------
     ValueError
-        If the file is no model of mexpress, is damaged, or comes from a newer version.
+        If the file does not hold a model of mexpress, is damaged, or comes from a newer version.
     OSError
-        If it cannot be opened: FileNotFoundError when there is none.
+        If the file cannot be opened; FileNotFoundError if it does not exist.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How far from the truth surfaces with more and more control points are."""
+"""Errors against the truth of surfaces with more and more control points."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,34 +8,33 @@ from mexpress._validation import Floats
 from mexpress.liftings import nested_basis
 
 _BLOCK = 4000
-"""Points whose predictions are in memory together."""
+"""Number of points whose predictions are in memory together."""
 
 
 def nested_errors(
     points: ArrayLike, values: ArrayLike, control_points: ArrayLike, unseen: ArrayLike, truth: ArrayLike
 ) -> Floats:
-    """Return the errors, at points that were not fitted, of the surfaces with the first 3, 4, ... control points.
+    """Return the errors of the surfaces with the first 3, 4, ... control points, at points outside the fit.
 
-    The surfaces are thin-plate splines without smoothing. They are nested, so one factorisation gives the coefficients
-    of all.
+    The surfaces are nested thin-plate splines without smoothing: one factorisation gives all their coefficients.
 
     Parameters
     ----------
     points : array_like, (n, 2)
-        Where the data are.
+        Positions of the data.
     values : array_like, (n,) or (n, d)
         The data.
     control_points : array_like, (l, 2)
-        In the order in which they come.
+        In their order.
     unseen : array_like, (k, 2)
-        Where the truth is known, one point at least.
+        Points with known values, at least one.
     truth : array_like, (k,) or (k, d)
-        What the surfaces should be there.
+        True values at those points.
 
     Returns
     -------
     ndarray, (l - 2,)
-        Root mean square errors in the unit of the values, of the norm where a datum has d of them.
+        Root mean square errors in the unit of the values; the norm of the error if there are d values.
 
     Raises
     ------
@@ -61,7 +60,7 @@ def nested_errors(
     total = np.zeros(len(triangle))
     for start in range(0, len(unseen), _BLOCK):
         some = slice(start, start + _BLOCK)
-        # Columns that are orthonormal over the data: a model of l control points has the first l of them.
+        # Columns orthonormal over the data: a model of l control points has the first l columns.
         columns = np.linalg.solve(triangle.T, nested_basis(unseen[some], control_points).T)
         for along, wanted in zip(coefficients.T, expected[some].T, strict=True):
             predicted = np.cumsum(columns * along[:, None], axis=0)

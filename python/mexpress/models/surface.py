@@ -1,13 +1,4 @@
-"""Surfaces: smooth functions fitted to depths, or to points in space, over a region of the plane.
-
-Examples
---------
->>> import mexpress as mx
->>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
->>> surface = mx.fit_surface(square, [0, 2, 2, 5], square)
->>> surface([[1, 1]]).round(6)
-array([2.25])
-"""
+"""Surfaces: smooth functions, fitted to depths or to points in space, over a region of the plane."""
 
 import os
 from dataclasses import dataclass
@@ -24,10 +15,10 @@ from mexpress.io import meshes
 from mexpress.models.base import Model
 
 _SAMPLES = 10_000
-"""About how many samples of a grid are inside the domain unless the user says otherwise."""
+"""Default number of samples of a grid inside the domain, approximately."""
 
 _MOST_SAMPLES = 10**7
-"""More samples of a grid, inside the domain or not, are taken for a mistake."""
+"""Largest number of samples of a grid, inside the domain or not; more are refused as a mistake."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +34,7 @@ class SurfaceGrid:
     values : ndarray, (rows, columns) or (rows, columns, d)
         The surface at every sample; NaN outside the domain.
     inside : ndarray of bool, (rows, columns)
-        Which samples are inside the domain or on its edge.
+        True for samples inside the domain or on its edge.
     triangles : ndarray of int, (t, 3)
         Triangles inside the domain, counter-clockwise; sample (row, column) has index row * columns + column.
 
@@ -58,6 +49,8 @@ class SurfaceGrid:
     array([[0., 1., 2.],
            [1., 2., 3.],
            [2., 3., 4.]])
+    >>> grid.points[:4]
+    array([[0., 0.], [1., 0.], [2., 0.], [0., 1.]])
     """
 
     x: Floats
@@ -72,15 +65,7 @@ class SurfaceGrid:
 
     @property
     def points(self) -> Floats:
-        """Positions of all samples, row after row, (rows * columns, 2).
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
-        >>> mx.fit_surface(square, [0, 2, 2, 4], square).grid(shape=(2, 3)).points[:4]
-        array([[0., 0.], [1., 0.], [2., 0.], [0., 2.]])
-        """
+        """Positions of all samples, row after row, (rows * columns, 2)."""
         return _positions(self.x, self.y)
 
 
@@ -88,25 +73,25 @@ class SurfaceGrid:
 class Surface(Model):
     """A smooth map from points of the plane to depths, or to points in space.
 
-    With nu the lifting and p_a the columns of the parameters, value a at a point q is nu(q) . p_a.
+    Value a at a point q is nu(q) . p_a, with the lifting nu and column p_a of the parameters.
 
     Parameters
     ----------
     lifting : Lifting
-        With l control points.
+        A lifting with l control points.
     parameters : array_like, (l,) or (l, d)
-        With most liftings the values at the control points. A surface with (l,) has values (k,), one
-        with (l, d) values (k, d).
+        With most liftings, the values at the control points. With (l,) the surface has values (k,), with (l, d)
+        values (k, d).
     domain : array_like, (k, 2), or Region
-        Points that the surface was fitted on, or what they cover. Their convex hull is kept; outside it the surface
-        extrapolates.
+        Points of the fit, or the region that they cover. The surface keeps their convex hull and extrapolates outside
+        it.
     smoothing : float
-        Weight of the bending energy that it was fitted with.
+        Weight of the bending energy in its fit.
 
     Raises
     ------
     TypeError
-        If the lifting is none.
+        If the lifting is not a `Lifting`.
     ValueError
         If the shapes do not fit, a number is not finite, or the domain has no area.
 
@@ -166,7 +151,7 @@ class Surface(Model):
         Returns
         -------
         ndarray, (k, 2) or (k, d, 2)
-            The last index is that of x or y.
+            The last index is the axis, x or y.
 
         Examples
         --------
@@ -189,13 +174,13 @@ class Surface(Model):
         Returns
         -------
         ndarray, (k, 3)
-            Of a depth f: (-f_x, -f_y, 1), normalised. Of points in space: f_x x f_y, normalised; NaN where
-            these are parallel.
+            For a depth f: (-f_x, -f_y, 1), normalised. For points in space: f_x x f_y, normalised; NaN where
+            f_x and f_y are parallel.
 
         Raises
         ------
         ValueError
-            If the surface has neither one nor three values.
+            If the surface does not have one or three values.
 
         Examples
         --------
@@ -219,10 +204,10 @@ class Surface(Model):
         Parameters
         ----------
         step : float, optional
-            Distance of neighbouring samples, in the unit of the points; such that about 10,000 samples are
-            inside by default.
+            Distance of neighbouring samples, in the unit of the points; by default it gives about 10,000 samples
+            inside.
         shape : tuple of int, optional
-            Instead of a step, the numbers of rows and columns that fill the bounding box, each 2 or more.
+            Numbers of rows and columns that fill the bounding box, each 2 or more, instead of a step.
 
         Returns
         -------
@@ -261,25 +246,24 @@ class Surface(Model):
     ) -> None:
         """Write the surface inside its domain as a triangle mesh with normals, for 3D programs.
 
-        The vertices are (x, y, f) of a depth f, and f of points in space. A normal that is undefined is
-        written as zeros. An OBJ of points in space has texture coordinates: a picture of the domain's
-        bounding box, its y down, drapes over it.
+        The vertices are (x, y, f) for a depth f, and f for points in space. Undefined normals are zeros. An OBJ of
+        points in space has texture coordinates for an image of the domain's bounding box with y down.
 
         Parameters
         ----------
         path : str or path
-            Name of the file, which ends in .ply (binary) or .obj. A file of this name is replaced once the
-            new one is complete.
+            Name of the file, ending in .ply (binary) or .obj. An existing file is replaced once the new one is
+            complete.
         step, shape
             As for `grid`.
 
         Raises
         ------
         ValueError
-            If the surface has neither one nor three values, if the path has another ending, or if no triangle
-            of the grid is inside the domain.
+            If the surface does not have one or three values, the path has another ending, or no triangle of the grid is
+            inside the domain.
         OSError
-            If the file cannot be written; an older file of this name is then untouched.
+            If the file cannot be written; an existing file is then unchanged.
 
         Examples
         --------
@@ -337,7 +321,7 @@ class Surface(Model):
         return low[0] + spacing * np.arange(columns), low[1] + spacing * np.arange(rows)
 
     def _default_step(self) -> float:
-        """Return the step that gives about 10,000 samples inside, but not too many in all."""
+        """Return the step that gives about 10,000 samples inside, within the limit on all samples."""
         extent = np.ptp(self.domain, axis=0)
         return float(np.sqrt(max(area(self.domain) / _SAMPLES, extent.prod() / (100 * _SAMPLES))))
 
@@ -365,7 +349,7 @@ def _positions(x: Floats, y: Floats) -> Floats:
 
 
 def _triangles(inside: NDArray[np.bool_]) -> Integers:
-    """Return two triangles for every cell inside, and one for every cell with one corner outside."""
+    """Return two triangles for every cell with all corners inside, and one for every cell with one corner outside."""
     index = np.arange(inside.size, dtype=np.int64).reshape(inside.shape)
     cells = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
     a, b, c, d = inside.ravel()[cells].T
@@ -379,7 +363,7 @@ def _triangles(inside: NDArray[np.bool_]) -> Integers:
 
 
 def _unit(vectors: Floats) -> Floats:
-    """Return vectors of length one, also of those whose squares overflow; NaN for zeros."""
+    """Return vectors of length one, even if their squares overflow; NaN for zero vectors."""
     with np.errstate(divide="ignore", invalid="ignore"):
         moderate = vectors / np.abs(vectors).max(axis=1, keepdims=True)
         return np.asarray(moderate / np.linalg.norm(moderate, axis=1, keepdims=True))

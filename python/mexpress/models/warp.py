@@ -1,13 +1,4 @@
-"""Image warps: linear in a lifting, and their fractional (deformable perspective) forms.
-
-Examples
---------
->>> import mexpress as mx
->>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
->>> warp = mx.fit_warp(square, [[0, 0], [100, 0], [20, 100], [80, 100]], square[:3])
->>> warp([[100, 100]]).round(6)
-array([[ 80., 100.]])
-"""
+"""Image warps: linear in a lifting, or fractional (deformable perspective)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,43 +13,42 @@ from mexpress.geometry import diagonal, lattice, nearest
 from mexpress.models.base import Model
 
 _SAMPLES = 1000
-"""Points of the domain that decide what is usual there and start the inverse."""
+"""Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Warp(Model):
     """A map from points of a source image to points of a target image.
 
-    With nu the lifting and p_a the columns of the parameters, q' = (nu . p_1, nu . p_2) / (nu . p_3): the
-    deformable perspective warp (eqs. 16-21), a homography with three control points. With two columns there
-    is no denominator.
+    The deformable perspective warp (eqs. 16-21) is q' = (nu . p_1, nu . p_2) / (nu . p_3), with the lifting nu and the
+    columns p_a of the parameters; with three control points it is a homography. With two columns there is no
+    denominator.
 
     Parameters
     ----------
     lifting : Lifting
-        With l control points in the source image.
+        A lifting with l control points in the source image.
     parameters : array_like, (l, 3) or (l, 2)
-        Of the numerators, in pixels of the target image, and of the denominator, whose mean is 1 (eq. 19);
-        with most liftings the values at the control points. A common factor of all three columns changes
-        nothing.
+        Parameters of the two numerators, in pixels of the target image, and of the denominator, with mean 1 (eq. 19).
+        With most liftings they are values at the control points. A common factor of all three columns has no effect.
     domain : array_like, (k, 2), or Region
-        Points of the source image that the warp was fitted on, or what they cover. Their convex hull is kept; outside
-        it the warp extrapolates.
+        Points of the fit in the source image, or the region that they cover. The warp keeps their convex hull and
+        extrapolates outside it.
     smoothing : float
-        Weight of the bending energy that it was fitted with.
+        Weight of the bending energy in its fit.
 
     Raises
     ------
     TypeError
-        If the lifting is none.
+        If the lifting is not a `Lifting`.
     ValueError
         If the shapes do not fit, a number is not finite, or the domain has no area.
 
     Notes
     -----
     `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
-    `skimage.transform.warp(target_image, warp, output_shape=(height, width))` both bring the target image into the
-    frame of the source image: they ask, for every source pixel, where to look.
+    `skimage.transform.warp(target_image, warp, output_shape=(height, width))` both resample the target image in the
+    frame of the source image: they read the target image at the image of every source pixel.
 
     Examples
     --------
@@ -89,7 +79,7 @@ class Warp(Model):
 
     @property
     def fractional(self) -> bool:
-        """Whether there is a denominator.
+        """Whether the warp has a denominator.
 
         Examples
         --------
@@ -125,7 +115,7 @@ class Warp(Model):
         return self._map(check.points(points, "points"))
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Return the derivatives of the target position along the source position.
+        """Return the derivatives of the target position by the source position.
 
         Parameters
         ----------
@@ -149,7 +139,7 @@ class Warp(Model):
         return self._jacobian(check.points(points, "points"))
 
     def denominator(self, points: ArrayLike) -> Floats:
-        """Return the denominator nu . p_3 at points of the source image, (k,); ones if there is none.
+        """Return the denominator nu . p_3 at points of the source image; ones for a warp without a denominator.
 
         Parameters
         ----------
@@ -159,7 +149,7 @@ class Warp(Model):
         Returns
         -------
         ndarray, (k,)
-            Without unit: the mean of its parameters is 1.
+            Values without a unit; the parameters have mean 1.
 
         Examples
         --------
@@ -173,19 +163,19 @@ class Warp(Model):
         return self._denominator(check.points(points, "points"))
 
     def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
-        """Tell where the warp sends points to infinity or beyond, so that its values mean nothing.
+        """Tell where the warp maps points to infinity or beyond, so that its values are meaningless.
 
         Parameters
         ----------
         points : array_like, (k, 2)
             Positions in pixels of the source image.
         tolerance : float
-            A denominator is near zero below this fraction of its median over the domain.
+            A denominator below this fraction of its median over the domain is near zero.
 
         Returns
         -------
         ndarray of bool, (k,)
-            True where the denominator is near zero or has not the sign that it has over the domain.
+            True where the denominator is near zero, or its sign differs from that of its median over the domain.
 
         Examples
         --------
@@ -200,7 +190,7 @@ class Warp(Model):
         return np.asarray(~(self._denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
 
     def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell where the warp folds: where the Jacobian's determinant has not the sign it has over most of the domain.
+        """Tell where the warp folds: where the sign of the Jacobian's determinant is not that of most of the domain.
 
         Parameters
         ----------
@@ -210,8 +200,8 @@ class Warp(Model):
         Returns
         -------
         ndarray of bool, (k,)
-            True where the Jacobian's determinant vanishes (to 1e-9 of its squared norm), is undefined, or has
-            not the sign that it has over the larger part of the domain.
+            True where the determinant vanishes (to 1e-9 of the Jacobian's squared norm), is undefined, or has the
+            opposite sign.
 
         Examples
         --------
@@ -227,8 +217,8 @@ class Warp(Model):
     def inverse(self, points: ArrayLike, tolerance: float = 1e-8, max_steps: int = 50) -> Floats:
         """Find points of the source image that map to given points of the target image.
 
-        Newton's method with halved steps, from the nearest image of a sample of the domain. A warp that folds
-        has several solutions, of which one is found.
+        The method is Newton's with halved steps, started at the sample of the domain with the nearest image. If the
+        warp folds, there are several solutions, and one of them is found.
 
         Parameters
         ----------
@@ -237,13 +227,13 @@ class Warp(Model):
         tolerance : float
             Distance in pixels of the target image at which a solution is accepted.
         max_steps : int
-            Upper bound on the steps.
+            Largest number of steps.
 
         Returns
         -------
         ndarray, (k, 2)
-            Positions in pixels of the source image, inside the domain or not; NaN where none was found, or
-            where the warp vanishes.
+            Positions in pixels of the source image, inside the domain or not; NaN without a solution, or where the
+            warp vanishes.
 
         Examples
         --------
@@ -286,7 +276,7 @@ class Warp(Model):
         -------
         ndarray of float32, (2, height, width)
             Target x, then target y: `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)`.
-            Where the warp vanishes the values mean nothing.
+            Where the warp vanishes, the values are meaningless.
 
         Examples
         --------
@@ -338,7 +328,7 @@ class Warp(Model):
             return np.where(sizeable, np.where(determinant > 0, 1, -1), 0)
 
     def _newton_step(self, points: Floats, error: Floats) -> Floats:
-        """Return J^-1 error by Cramer's rule: 0 where J is singular, nowhere longer than the domain."""
+        """Return J^-1 error by Cramer's rule: 0 where J is singular, and never longer than the domain."""
         jacobian = self._jacobian(points)
         (a, b), (c, d) = jacobian.transpose(1, 2, 0)
         u, v = error.T
