@@ -1,12 +1,6 @@
-"""How many control points, and how stiff: every criterion for every model, and the model that one criterion chooses.
+"""The selection of the number of control points and of the weight of the bending energy.
 
-Examples
---------
->>> import numpy as np
->>> from mexpress.selection import select_warp
->>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
->>> select_warp(source, 2 * source + 1, counts=[3, 4, 5]).counts
-array([3, 4, 5])
+Every criterion scores every model, and one criterion selects.
 """
 
 from mexpress.selection.candidates import largest_count

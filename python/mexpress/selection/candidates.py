@@ -1,13 +1,4 @@
-"""Which models a selection tries, and how they are judged.
-
-Examples
---------
->>> from mexpress.selection.data import Samples
->>> data = Samples.of([[0, 0], [4, 0], [0, 3], [4, 3]], [1.0, 2.0, 3.0, 5.0])
->>> name, scorer = CriteriaRequest("er10press", ["FIT"], data).scorer(nested=False)
->>> name, scorer
-('ER10', Scorer(FIT, ER10))
-"""
+"""The models that a selection tries, and the criteria that score them."""
 
 from __future__ import annotations
 
@@ -36,23 +27,30 @@ from mexpress.selection.weights import is_automatic, smoothing_weights, tie_slac
 DEFAULT_CRITERIA = ("FIT", "PRESS", "CMPRESS")
 
 _FEW = 3
-"""Up to so many nested designs cost less one by one than together."""
+"""Up to this number, nested designs cost less one by one than in one sweep."""
 
 
 @dataclass(frozen=True)
 class CriteriaRequest:
-    """The criteria that a user asks for, before their schemes are made.
+    """The criteria that a user names, before their schemes are built.
 
     Parameters
     ----------
     criterion : str
-        What selects.
+        The criterion that selects.
     criteria : names, schemes by name, or None
-        Others.
+        Further criteria.
     data : Matches or Samples
-        What is judged.
+        The data of the models.
     seed, threads
         As for `select_warp`.
+
+    Examples
+    --------
+    >>> from mexpress.selection.data import Samples
+    >>> data = Samples.of([[0, 0], [4, 0], [0, 3], [4, 3]], [1.0, 2.0, 3.0, 5.0])
+    >>> CriteriaRequest("er10press", ["FIT"], data).scorer(nested=False)
+    ('ER10', Scorer(FIT, ER10))
     """
 
     criterion: str
@@ -62,7 +60,7 @@ class CriteriaRequest:
     threads: int | None = None
 
     def scorer(self, nested: bool) -> tuple[str, Scorer]:
-        """Return the selecting criterion's name, and a scorer of it and the others."""
+        """Return the name of the criterion that selects, and a scorer of all criteria."""
         check.generator(self.seed)
         domain = Domain(
             self.data.points, self.data.diagonal, self.data.domain, self.seed, check.threads(self.threads)
@@ -78,22 +76,22 @@ class CriteriaRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidates(Generic[ModelT]):
-    """The models that a selection tries, each a number of control points and a weight of the bending energy.
+    """The models that a selection tries: numbers of control points by weights of the bending energy.
 
     Parameters
     ----------
     lifting : type of Lifting
         The functions.
     design : callable
-        The design over a basis.
+        Returns the design over a basis.
     counts : int array or None
-        Numbers of control points that are wished, increasing; all up to the largest if None, and with an automatic
-        weight the fewest and the most.
+        Numbers of control points, increasing. None stands for all up to the largest or, with an automatic weight, for
+        the smallest and the largest.
     largest : int
-        The most control points if none are wished.
+        Largest number of control points if `counts` is None.
     order : callable or None
-        The data that become control points of thin-plate splines, at most so many, of which every count takes the
-        first; None if every count has control points of its own.
+        Returns the data that become control points, at most so many; every count takes the first of them, and the
+        lifting is a thin-plate spline. None if every count has its own control points.
     smoothing : float, list of float, or "auto"
         Weights of the bending energy.
     """
@@ -108,19 +106,12 @@ class Candidates(Generic[ModelT]):
     def select(
         self, request: CriteriaRequest, label: str | None
     ) -> tuple[Selection, Sweep[ModelT], Floats | None]:
-        """Judge them all and let the criterion select: `select_warp` and `select_surface` are two doors to this.
-
-        Parameters
-        ----------
-        request : CriteriaRequest
-            How they are judged, and on which data.
-        label : str or None
-            Of the progress that is shown.
+        """Score all models and let the criterion select; `label` names the progress that is shown, if any.
 
         Returns
         -------
         selection, sweep, ordered
-            What the criteria say, what they judged, and the control points in their order if they have one.
+            The selection, the sweep behind it, and the ordered control points or None.
         """
         data, automatic = request.data, is_automatic(self.smoothing)
         tried = (
@@ -150,7 +141,7 @@ class Candidates(Generic[ModelT]):
         return sweep.selection(name, tie_slack(self.smoothing, n)), sweep, ordered
 
     def _liftings(self, request: CriteriaRequest, counts: list[int], ordered: Floats | None) -> list[Lifting]:
-        """Liftings of different, increasing numbers of control points."""
+        """Liftings with different, increasing numbers of control points."""
         if ordered is not None:
             return [self.lifting(ordered[:count]) for count in counts]
         where, seed, threads = request.data.domain, request.seed, request.threads
@@ -164,7 +155,6 @@ def largest_count(n: int) -> int:
 
     Examples
     --------
-    >>> from mexpress.selection import largest_count
     >>> [largest_count(n) for n in (10, 15, 30, 150, 500)]
     [6, 7, 15, 75, 100]
     """
@@ -172,7 +162,7 @@ def largest_count(n: int) -> int:
 
 
 def default_criterion(criterion: str | None, smoothing: Any) -> str:
-    """The criterion that selects: ER10 unless the user says otherwise, or leaves the weight to the library.
+    """The criterion that selects by default: ER10, or MATCHED with an automatic weight.
 
     Examples
     --------
@@ -185,7 +175,7 @@ def default_criterion(criterion: str | None, smoothing: Any) -> str:
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:
-    """Numbers of control points that a user wants, increasing.
+    """Check numbers of control points, and sort them; None stays None.
 
     Examples
     --------
@@ -209,15 +199,13 @@ def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | No
 def checked_placement(
     placement: str | None, lifting: type[Lifting], choices: Sequence[str], default: str
 ) -> str:
-    """How control points are spread: what a user wants, or a default that thin-plate splines alone have.
+    """Check the placement of control points; by default, thin-plate splines have a default of their own.
 
     Examples
     --------
     >>> from mexpress.liftings import BSpline
-    >>> checked_placement(None, ThinPlateSpline, ["nested", "lloyd"], "nested")
-    'nested'
-    >>> checked_placement(None, BSpline, ["nested", "lloyd"], "nested")
-    'lloyd'
+    >>> [checked_placement(None, lifting, ["nested", "lloyd"], "nested") for lifting in (ThinPlateSpline, BSpline)]
+    ['nested', 'lloyd']
     """
     splines = lifting is ThinPlateSpline
     if placement is None:

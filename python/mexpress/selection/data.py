@@ -1,14 +1,7 @@
-"""What a selection is about, checked once at the door: matches of two images, or samples of a surface.
+"""The data of a selection, checked once: matches of two images, or samples of a surface.
 
-Both have `points`, `values`, `weights`, `domain` and `diagonal`, and write themselves as a design over a basis: that is
-all by which warps and surfaces differ.
-
-Examples
---------
->>> Matches.of([[0, 0], [9, 0], [0, 9]], [[1, 1], [9, 0], [0, 9]], image_size=(30, 40))
-Matches(3 matches, diagonal 50)
->>> Samples.of([[0, 0], [4, 0], [0, 3]], [1.0, 2.0, 3.0])
-Samples(3 data, diagonal 5)
+Both have `points`, `values`, `weights`, `domain` and `diagonal`, and make a design over a basis. Warps and surfaces
+differ in nothing else.
 """
 
 from __future__ import annotations
@@ -35,11 +28,16 @@ class Matches:
     source, target : (n, 2) array
         Matched points, x then y, in pixels of either image.
     weights : (n,) array or None
-        Of the matches; one each if None.
+        Weights of the matches; 1 each if None.
     domain : Region
-        What the source points cover.
+        Region that the source points cover.
     image_size : (width, height) or None
-        Of the source image in pixels.
+        Size of the source image in pixels.
+
+    Examples
+    --------
+    >>> Matches.of([[0, 0], [9, 0], [0, 9]], [[1, 1], [9, 0], [0, 9]], image_size=(30, 40))
+    Matches(3 matches, diagonal 50)
     """
 
     source: Floats
@@ -50,13 +48,7 @@ class Matches:
 
     @classmethod
     def of(cls, source: ArrayLike, target: ArrayLike, image_size: Any = None) -> Matches:
-        """Check matches.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If they are not n pairs of finite points, or the source points are on a line.
-        """
+        """Check matches: n pairs of finite points, with source points that are not on a line."""
         source, target = check.points(source, "source"), check.points(target, "target")
         if len(source) != len(target):
             rule = "It must have one point per source point."
@@ -69,17 +61,17 @@ class Matches:
 
     @property
     def points(self) -> Floats:
-        """Where the data are."""
+        """Positions of the data."""
         return self.source
 
     @property
     def values(self) -> Floats:
-        """What was measured there."""
+        """Measurements at those positions."""
         return self.target
 
     @cached_property
     def diagonal(self) -> float:
-        """What radii are percentages of: the diagonal of the image, or of the source points' bounding box."""
+        """Length that radii are percentages of: the diagonal of the image, or of the source points' bounding box."""
         return diagonal(self.source) if self.image_size is None else math.hypot(*self.image_size)
 
     def design(self, basis: Basis, fractional: bool, over_data: bool | None = None) -> Design[Warp]:
@@ -98,13 +90,18 @@ class Samples:
     Parameters
     ----------
     points : (n, 2) array
-        Where they are.
+        Positions.
     values : (n,) or (n, d) array
         Depths, or points in space.
     weights : (n,) array or None
-        Of the data; one each if None.
+        Weights of the data; 1 each if None.
     domain : Region
-        What the points cover.
+        Region that the points cover.
+
+    Examples
+    --------
+    >>> Samples.of([[0, 0], [4, 0], [0, 3]], [1.0, 2.0, 3.0])
+    Samples(3 data, diagonal 5)
     """
 
     points: Floats
@@ -114,13 +111,7 @@ class Samples:
 
     @classmethod
     def of(cls, points: ArrayLike, values: ArrayLike) -> Samples:
-        """Check data.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If they are not n finite points with a value each, or the points are on a line.
-        """
+        """Check data: n finite points that are not on a line, with a value each."""
         points = check.points(points, "points")
         values = check.columns(values, "values", len(points))
         return cls(points, values, None, Region(hull(points, "points")))
@@ -130,7 +121,7 @@ class Samples:
 
     @cached_property
     def diagonal(self) -> float:
-        """What radii are percentages of: the diagonal of the points' bounding box."""
+        """Length that radii are percentages of: the diagonal of the points' bounding box."""
         return diagonal(self.points)
 
     def design(self, basis: Basis) -> Design[Surface]:

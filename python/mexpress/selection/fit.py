@@ -1,11 +1,4 @@
-"""Fits of warps and surfaces with given control points.
-
-Examples
---------
->>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
->>> fit_surface(square, [0, 2, 2, 5], square)([[1, 1]]).round(6)
-array([2.25])
-"""
+"""Fits of warps and surfaces with given control points."""
 
 from numpy.typing import ArrayLike
 
@@ -38,30 +31,30 @@ def fit_warp(
     source, target : array_like, (n, 2)
         Matched points in pixels of either image, x then y.
     control_points : array_like, (l, 2)
-        In pixels of the source image, 3 or more. With three the warp is affine, or a homography.
+        Control points in pixels of the source image, 3 or more. With three, the warp is affine or a homography.
     lifting : str
-        Name of the functions that bend the plane: "tps", "bspline" (control points on a grid), "affine" (pieces
-        between the control points), or of one's own, see `mexpress.liftings`.
+        Name of the lifting: "tps", "bspline" (control points on a grid), "affine" (pieces between the control
+        points), or a registered name, see `mexpress.liftings`.
     fractional : bool
-        Whether the warp has a denominator, that is, models perspective. It then has 3l - 1 parameters instead
-        of 2l and minimises the algebraic error, close to the transfer error in pixels.
+        Whether the warp has a denominator, to model perspective. It then has 3l - 1 parameters instead of 2l, and the
+        fit minimises the algebraic error, which is close to the transfer error in pixels.
     smoothing : float, list of float or "auto"
-        Weight of the bending energy beside the sum of squared residuals; of several, that of the smallest score.
+        Weight of the bending energy, which is added to the sum of squared residuals; of several weights, the best.
     criterion, image_size, seed
-        What scores several weights, as for `select_warp`.
+        Criterion that scores several weights, and its options, as for `select_warp`.
     threads : int, optional
-        Upper bound on threads; the result does not depend on it.
+        Largest number of threads; the result does not depend on it.
 
     Returns
     -------
     Warp
-        From the source image to the target image.
+        The warp from the source image to the target image.
 
     Raises
     ------
     ValueError
-        If the input is not n matches and l distinct control points that are not on a line, or if the matches
-        do not determine the warp: they are too few, or none is near some control point.
+        If the input is not n matches and l distinct control points that are not on a line, or if the matches do not
+        determine the warp: there are too few of them, or none near some control point.
 
     Examples
     --------
@@ -96,28 +89,28 @@ def fit_surface(
     points : array_like, (n, 2)
         Positions of the data: pixels of a depth map, or the coordinates of a template.
     values : array_like, (n,) or (n, d)
-        Depths, or points in space, at these positions.
+        Depths or points in space at these positions.
     control_points : array_like, (l, 2)
-        In the unit of the positions, 3 or more, in any order. With three the surface is a plane.
+        Control points in the unit of the positions, 3 or more, in any order. With three, the surface is a plane.
     lifting : str
-        Name of the functions that make the surface, as for `fit_warp`.
+        Name of the lifting, as for `fit_warp`.
     smoothing : float, list of float or "auto"
-        Weight of the bending energy beside the sum of squared residuals; of several, that of the smallest score.
+        Weight of the bending energy, which is added to the sum of squared residuals; of several weights, the best.
     criterion, seed
-        What scores several weights, as for `select_surface`.
+        Criterion that scores several weights, and its option, as for `select_surface`.
     threads : int, optional
-        Upper bound on threads; the result does not depend on it.
+        Largest number of threads; the result does not depend on it.
 
     Returns
     -------
     Surface
-        With values of the shape of one datum's.
+        A surface whose values have the shape of one datum's value.
 
     Raises
     ------
     ValueError
-        If the input is not n data and l distinct control points that are not on a line, or if the data do
-        not determine the surface: they are too few, or none is near some control point.
+        If the input is not n data and l distinct control points that are not on a line, or if the data do not
+        determine the surface: there are too few of them, or none near some control point.
 
     Examples
     --------
@@ -140,7 +133,7 @@ def _fit(
     what: str,
     data: str,
 ) -> ModelT:
-    """Fit one design, with the best of the weights if there are several."""
+    """Fit one design, with the best weight if there are several."""
     parse(request.criterion)
     check.generator(request.seed)
     n = len(request.data.points)

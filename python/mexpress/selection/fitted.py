@@ -1,14 +1,4 @@
-"""Selections that know their data and their model: scored by radius, searched for suspects, fitted again.
-
-Examples
---------
->>> import mexpress as mx
->>> import numpy as np
->>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
->>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]), max_count=40)
->>> isinstance(selection, FittedSelection), selection.radii([0, 5]).percents
-(True, array([0., 5.]))
-"""
+"""Selections with their data and their model: scores by radius, suspects, and fits with other weights."""
 
 from __future__ import annotations
 
@@ -40,19 +30,19 @@ if TYPE_CHECKING:
 _CRITERION = "ER10"
 
 _STIFFNESSES = 10.0 ** np.arange(-6, 1)
-"""Weights of the bending energy that are tried, in units of the squared diagonal of the data's bounding box."""
+"""Weights of the bending energy to try, in units of the squared diagonal of the data's bounding box."""
 
 
 @dataclass(frozen=True)
 class Trials(Generic[ModelT]):
-    """A few models from stiff to flexible, of which a criterion chooses for given weights of the data."""
+    """A few models from stiff to flexible; ER10 selects one of them for given weights of the data."""
 
     pairs: list[tuple[Design[ModelT], float]]
     scorer: Scorer
     threads: int | None
 
     def best(self, weights: Floats) -> tuple[LeastSquares, Design[ModelT], float]:
-        """Return the fit of the best model with these weights, its design and its weight of the bending energy."""
+        """Return the fit of the best model with these weights, its design, and its weight of the bending energy."""
         fits = [design.weighted(weights).fit(stiffness, self.threads) for design, stiffness in self.pairs]
         scores = [self.scorer.scores(fit, self.threads)[_CRITERION].value for fit in fits]
         if np.isnan(scores).all():
@@ -63,13 +53,13 @@ class Trials(Generic[ModelT]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedSelection(Selection, Generic[ModelT]):
-    """A selection with its data, and the model that it selects: `WarpSelection` or `SurfaceSelection`."""
+    """A selection with its data and its selected model: a `WarpSelection` or a `SurfaceSelection`."""
 
     _unit: ClassVar[str | None] = None
-    """Of the values, if it is known."""
+    """Unit of the values, if it is known."""
 
     _most_flexible_count: ClassVar[int]
-    """Control points of the most flexible model that looks for suspects, at most."""
+    """Largest number of control points in the search for suspects."""
 
     @property
     @abstractmethod
@@ -85,14 +75,14 @@ class FittedSelection(Selection, Generic[ModelT]):
         """The least-squares problem over a basis."""
 
     def least_squares(self, weights: ArrayLike | None = None, threads: int | None = None) -> LeastSquares:
-        """Return the least-squares problem of the selected model, to be cross-validated further.
+        """Return the least-squares problem of the selected model, for further cross-validation.
 
         Parameters
         ----------
         weights : (n,) array, optional
-            Positive weight of each datum; one each if not given.
+            Positive weight of each datum; 1 each by default.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Examples
         --------
@@ -113,9 +103,9 @@ class FittedSelection(Selection, Generic[ModelT]):
         Parameters
         ----------
         percents : sequence of float, optional
-            Radii in percent of the diagonal, increasing; 0 to 20 if not given.
+            Radii in percent of the diagonal, increasing; 0 to 20 by default.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Examples
         --------
@@ -130,14 +120,15 @@ class FittedSelection(Selection, Generic[ModelT]):
         return radius_curve(fit, Places(data.points), data.domain, data.diagonal, percents, threads)
 
     def plot_radii(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the selected model's score against the radius within which data are held out (extra ``plot``).
+        """Plot the selected model's score against the radius of the held-out data (extra ``plot``).
 
-        Below it is how far from the data the domain reaches: radii beyond that ask more than predictions inside it.
+        A second panel shows distances from the domain to the nearest datum: larger radii test predictions that no use
+        inside the domain needs.
 
         Parameters
         ----------
         path : path, optional
-            Where to save the figure; its ending says the format.
+            File for the figure; its ending gives the format.
         """
         from mexpress.plotting import plot_radii  # noqa: PLC0415 - an extra
 
@@ -146,29 +137,29 @@ class FittedSelection(Selection, Generic[ModelT]):
     def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
         """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
 
-        Wrong data disturb the selection too. So the model is chosen anew, by ER10, in every round: of three numbers of
-        control points and seven weights of the bending energy. It is no RANSAC: where half of the data are wrong, it
-        says that its result is not to be trusted.
+        Wrong data disturb the selection too. So ER10 selects the model anew in every round, among three numbers of
+        control points and seven weights of the bending energy. This is no RANSAC: if half of the data are wrong, it
+        warns that its result is doubtful.
 
         Parameters
         ----------
         threshold : float, default 5
             Studentised prediction residuals above it are suspicious.
         radius : float, default 5
-            All data within so many percent of the diagonal are held out when a datum is predicted.
+            Every datum is predicted with all data within this percentage of the diagonal held out.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Returns
         -------
         Suspects
-            With the scores of all data, the indices of the suspected ones, the worst first, and weights for a
-            refit; see `mexpress.suspicion.suspects`.
+            Scores of all data, indices of the suspected data with the worst first, and weights for a refit; see
+            `mexpress.suspicion.suspects`.
 
         Raises
         ------
         ValueError, TypeError
-            If the threshold or the radius is no positive number.
+            If the threshold or the radius is not a positive number.
 
         Examples
         --------
@@ -188,19 +179,19 @@ class FittedSelection(Selection, Generic[ModelT]):
         )
 
     def reweighted(self, weights: ArrayLike, threads: int | None = None) -> ModelT:
-        """Fit and choose the model again, among those of `suspects`, with weights of the data.
+        """Select and fit the model again with weights of the data, among the models that `suspects` tries.
 
         Parameters
         ----------
         weights : (n,) array
             Positive weight of each datum, such as `Suspects.weights`.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Returns
         -------
         Warp or Surface
-            As the selection is of warps or surfaces.
+            A model of the kind of this selection.
 
         Examples
         --------

@@ -1,11 +1,4 @@
-"""What a sweep over models says, and which model each criterion chooses.
-
-Examples
---------
->>> selection = Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {})
->>> selection.count, selection.score
-(4, 1.0)
-"""
+"""The scores of a sweep over models, and the model that each criterion selects."""
 
 from __future__ import annotations
 
@@ -25,27 +18,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Selection:
-    """Criteria against the number of control points and the weight of the bending energy, and what they choose.
+    """Scores by number of control points and weight of the bending energy, and the model that each criterion selects.
 
     Parameters
     ----------
     criterion : str
         The criterion that selects.
     counts : (k,) int64 array
-        Numbers of control points that were tried, increasing.
+        Numbers of control points, increasing.
     maps : dict of str to (k, w) array
-        Every criterion's score of every count and weight, in the responses' unit (AIC and BIC have none); NaN
-        where undefined. (k,) arrays are taken as (k, 1).
+        Score of every count and weight by criterion, in the responses' unit (AIC and BIC have none); NaN where
+        undefined. (k,) arrays stand for (k, 1).
     undefined : dict of str to dict of int to int64 array
-        Data that cannot be predicted at any weight, by criterion and count (as found at the largest weight); counts
-        with none are absent.
+        Data that cannot be predicted at any weight, by criterion and count (as found at the largest weight). Counts
+        without such data are absent.
     weights : (w,) array, optional
-        Weights of the bending energy that were tried, increasing; 0 alone if not given.
+        Weights of the bending energy, increasing; 0 alone by default.
     parameters : (k, w) array, optional
         Effective numbers of parameters, trace(H); NaN where a model is not determined.
     open : dict of int to int, optional
-        By count, how many unknowns the data leave open, so that only the bending energy determines them; counts
-        with none are absent.
+        Number of unknowns that only the bending energy determines, by count. Counts without such unknowns are absent.
     slack : float, default 0
         Scores within this fraction of the best are ties; the model with the fewest effective parameters wins.
 
@@ -84,7 +76,7 @@ class Selection:
 
     @property
     def curves(self) -> dict[str, Floats]:
-        """Every criterion's score of every count, (k,), at the weight that is best for the count; NaN where undefined.
+        """Score of every count at its best weight, (k,), by criterion; NaN where undefined.
 
         Examples
         --------
@@ -98,9 +90,9 @@ class Selection:
 
     @property
     def selected(self) -> dict[str, int | None]:
-        """How many control points each criterion would choose; None if it has no score.
+        """Number of control points that each criterion selects; None for a criterion without a score.
 
-        AIC and BIC, which weigh parameters themselves and have no unit, have no slack.
+        The slack does not apply to AIC and BIC, which have no unit and penalise parameters themselves.
 
         Examples
         --------
@@ -114,7 +106,7 @@ class Selection:
 
     @property
     def selected_smoothing(self) -> dict[str, float | None]:
-        """The weight of the bending energy that each criterion would choose; None if it has no score.
+        """Weight of the bending energy that each criterion selects; None for a criterion without a score.
 
         Examples
         --------
@@ -144,7 +136,7 @@ class Selection:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Positions of the selected count among the counts, and of the selected weight among the weights."""
+        """Positions of the selected count and the selected weight."""
         chosen = self._place(self.criterion)
         if chosen is None:
             rule = (
@@ -157,7 +149,7 @@ class Selection:
         return chosen
 
     def _place(self, name: str) -> tuple[int, int] | None:
-        """Position of the count and the weight that a criterion chooses."""
+        """Positions of the count and the weight that a criterion selects."""
         scores = self.maps[name]
         if np.isnan(scores).all():
             return None
@@ -169,7 +161,7 @@ class Selection:
         return int(k), int(w)
 
     def best_weight(self, k: int) -> int | None:
-        """Position of the weight that the criterion prefers at the k-th count; None if it has no score there.
+        """Position of the criterion's best weight at the k-th count; None without a score.
 
         Examples
         --------
@@ -185,12 +177,12 @@ class Selection:
         return None if np.isnan(scores).all() else int(np.nanargmin(scores))
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the criteria against the number of control points, and the weight if there are several (extra ``plot``).
+        """Plot the criteria against the number of control points, and the weight if there are several (extra ``plot``).
 
         Parameters
         ----------
         path : path, optional
-            Where to save the figure; its ending says the format.
+            File for the figure; its ending gives the format.
         """
         from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
 

@@ -1,12 +1,4 @@
-"""The selection of a surface.
-
-Examples
---------
->>> import numpy as np
->>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
->>> select_surface(points, np.sin(6 * points[:, 0]), max_count=40).criterion
-'ER10'
-"""
+"""The selection of a surface."""
 
 from __future__ import annotations
 
@@ -30,26 +22,26 @@ from mexpress.selection.fitted import FittedSelection
 from mexpress.selection.weights import is_automatic, largest_automatic_count
 
 MOST = 175
-"""Control points, as in section 5 of the paper."""
+"""Largest number of control points, as in section 5 of the paper."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfaceSelection(FittedSelection[Surface]):
-    """A surface with the number of control points that a criterion chose; see `Selection` for the other fields.
+    """A surface with the number of control points that a criterion selects; see `Selection` for the other fields.
 
     Parameters
     ----------
     surface : Surface
-        The selected one.
+        The selected surface.
     points : (n, 2) array
-        Where the data are.
+        Positions of the data.
     values : (n,) or (n, d) array
-        The data.
+        Depths, or positions in d dimensions.
     control_points : (l, 2) array
-        Those of the largest model, in the order in which they came; unless each count has its own, a model of k
-        control points has the first k.
+        Control points of the largest model, in their order. A model of k control points has the first k, unless each
+        count has its own.
     placement : str
-        Where control points went.
+        Placement of the control points, as for `select_surface`.
 
     Examples
     --------
@@ -94,59 +86,58 @@ def select_surface(
     lifting: str = "tps",
     placement: str | None = None,
 ) -> SurfaceSelection:
-    """Fit a surface to data with the number of control points that a criterion chooses.
+    """Fit a surface to data with the number of control points that a criterion selects.
 
-    Control points come one at a time, where the surface so far is farthest from the data (section 5.1 of the paper), so
-    the models are nested and every criterion's whole curve costs what one model does: see `placement` for other ways.
+    By default, the next control point is always the datum farthest from the surface so far (section 5.1 of the paper).
+    The models are then nested, and a criterion's whole curve costs as much as one model.
 
     Parameters
     ----------
     points : (n, 2) array
-        Where the data are: pixels of a depth map, or parameters of a sheet.
+        Positions of the data: pixels of a depth map, or parameters of a sheet.
     values : (n,) or (n, d) array
-        Depth, or positions in d dimensions.
+        Depths, or positions in d dimensions.
     criterion : str, optional
-        Which criterion selects, see `mexpress.criteria`; ERxx is a percentage of the diagonal of the points'
-        bounding box. ER10 if not given: it predicts every datum with all data within 10 % of it held out, as the paper
-        advises; no radius is right for every use, so look at several. MATCHED if not given and `smoothing` is
-        "auto": it holds out what makes predictions as far from the data as they are in use.
+        Criterion that selects, see `mexpress.criteria`; ERxx is a percentage of the diagonal of the points' bounding
+        box. ER10 by default, as the paper advises: it predicts every datum with all data within 10 % of the diagonal
+        held out. No radius is right for every use, so compare several. With `smoothing` "auto", MATCHED by default:
+        it matches the distances from predictions to training data to those in use.
     criteria : sequence of str, or mapping of str to Scheme, optional
-        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own,
-        by names that no criterion has: if the criterion is one of them they stand alone, else beside the three.
+        Further criteria to compute; FIT, PRESS and CMPRESS by default. A mapping gives schemes by names that no
+        criterion has. If the criterion is one of these names, only the schemes are computed, else also the three.
     max_count : int, optional
-        The largest number of control points; 175 if not given. With `smoothing` "auto" as many as there are data, at
-        most 900.
+        Largest number of control points; 175 by default. With `smoothing` "auto", the number of data, at most 900.
     min_distance : float, optional
-        How near control points that are placed by residuals may come to each other, in the unit of the points; 2.5 % of
-        the diagonal if not given, see `mexpress.placement.by_residual`.
+        Smallest distance of control points with "residual" placement, in the unit of the points; 2.5 % of the diagonal
+        by default, see `mexpress.placement.by_residual`.
     smoothing : float, list of float or "auto", default 0
-        Weight of the surface's bending energy beside the sum of squared residuals: larger is stiffer, down to a plane.
-        Of several, the best is selected together with the count. "auto" tries twenty, from negligible to dominant,
-        for the fewest and for the most control points.
+        Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
+        surface, in the limit a plane. Of several weights, the best is selected together with the count. "auto" tries
+        twenty, from negligible to dominant, for the smallest and for the largest count.
     seed : int, default 0
-        Of everything random: the same seed gives the same result, whatever the number of threads.
+        Seed of everything random. The same seed gives the same result with any number of threads.
     threads : int, optional
-        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+        Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
     progress : bool, default False
         Whether to show progress on the terminal.
     lifting : str, default "tps"
-        The functions that make the surface: "tps", "bspline", "affine", or of one's own, see `mexpress.liftings`.
+        Name of the lifting: "tps", "bspline", "affine", or a registered name, see `mexpress.liftings`.
     placement : {"residual", "nested", "lloyd"}, optional
-        Where control points go. "residual", of thin-plate splines alone: where the surface so far is farthest from the
-        data. "nested", of thin-plate splines alone: to data in an order of which every beginning is spread evenly.
-        "lloyd": over the region of the data, anew for every count, by Lloyd's algorithm, or the grid that the lifting
-        has in its place. If not given, it is "residual" for thin-plate splines ("nested" with `smoothing` "auto"), and
-        "lloyd" for others.
+        Placement of control points. "residual": the datum farthest from the surface so far is the next one. "nested":
+        the next one is always the datum farthest from the control points so far, which spreads them evenly at every
+        count. Both are for thin-plate splines only. "lloyd": for every count anew, over the region of the data, by
+        Lloyd's algorithm or on the lifting's grid. The default is "residual" for thin-plate splines ("nested" with
+        `smoothing` "auto"), and "lloyd" for other liftings.
 
     Returns
     -------
     SurfaceSelection
-        With the surface, the curves, and what every criterion would choose.
+        The surface, the curves, and the model that every criterion selects.
 
     Raises
     ------
     ValueError, TypeError
-        If the input is not made of finite data that cover a region, or if the criterion is undefined at every count.
+        If the data are not finite or do not cover a region, or if the criterion is undefined at every count.
 
     Examples
     --------
@@ -182,7 +173,7 @@ def select_surface(
     request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads)
     selection, sweep, ordered = candidates.select(request, "surface" if progress else None)
     surface = sweep.model(*selection.place)
-    assert surface is not None  # a score means that it is determined
+    assert surface is not None  # a model with a score is determined
     return SurfaceSelection(
         **vars(selection),
         surface=surface,

@@ -1,22 +1,7 @@
-"""Every criterion of every model: numbers of control points by weights of the bending energy.
+"""Scores of all models by all criteria: numbers of control points by weights of the bending energy.
 
-Designs of any control points are judged one after another; for one design, all weights cost little more than one.
-Nested designs are judged all at once, for each weight.
-
-Examples
---------
->>> import mexpress as mx
->>> import numpy as np
->>> from mexpress.criteria import Scorer
->>> from mexpress.liftings import ThinPlateSpline
->>> from mexpress.models import CardinalBasis
->>> from mexpress.selection.data import Samples
->>> points = np.random.default_rng(0).uniform(size=(30, 2))
->>> data = Samples.of(points, points[:, 0] ** 2)
->>> designs = [data.design(CardinalBasis(ThinPlateSpline(points[:k]))) for k in (4, 9)]
->>> sweep_designs(designs, np.zeros(1), Scorer.of(["FIT"], points), None, lambda: None).maps["FIT"].round(3)
-array([[0.049],
-       [0.028]])
+Designs are scored one after another; for one design, all weights cost little more than one weight. Nested designs are
+scored at once, for each weight.
 """
 
 from __future__ import annotations
@@ -41,14 +26,14 @@ OnStep = Callable[[], None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Generic[ModelT]):
-    """What a sweep over k counts and w weights says: all of a `Selection` but who selects, and the models.
+    """Scores of k counts and w weights: the fields of a `Selection` except the criterion, and the models.
 
     Attributes
     ----------
     counts, maps, undefined, weights, parameters, open
         See `Selection`.
     model : callable
-        The model of a count and a weight, by their positions, or None if it is not determined.
+        Returns the model at the positions of a count and a weight, or None if it is not determined.
     """
 
     counts: Integers
@@ -69,7 +54,7 @@ class Sweep(Generic[ModelT]):
         lacks: Integers,
         model: Callable[[int, int], ModelT | None],
     ) -> Self:
-        """Arrange scores, by weight, criterion and count, and how many unknowns the data alone leave open, by count."""
+        """Arrange scores by weight, criterion and count, and the unknowns that the data alone leave open by count."""
         maps = {name: np.array([[s.value for s in by[name]] for by in scores]).T for name in scores[0]}
         undefined = {
             name: {
@@ -99,7 +84,21 @@ class Sweep(Generic[ModelT]):
 def sweep_designs(
     designs: Iterable[Design[ModelT]], weights: Floats, scorer: Scorer, threads: int | None, on_step: OnStep
 ) -> Sweep[ModelT]:
-    """Judge designs of increasing counts; `on_step` is called after each weight."""
+    """Score designs of increasing counts; `on_step` is called after each weight.
+
+    Examples
+    --------
+    >>> from mexpress.criteria import Scorer
+    >>> from mexpress.liftings import ThinPlateSpline
+    >>> from mexpress.models import CardinalBasis
+    >>> from mexpress.selection.data import Samples
+    >>> points = np.random.default_rng(0).uniform(size=(30, 2))
+    >>> data = Samples.of(points, points[:, 0] ** 2)
+    >>> designs = [data.design(CardinalBasis(ThinPlateSpline(points[:k]))) for k in (4, 9)]
+    >>> sweep_designs(designs, np.zeros(1), Scorer.of(["FIT"], points), None, lambda: None).maps["FIT"].round(3)
+    array([[0.049],
+           [0.028]])
+    """
     counts, lacks = [], []
     parameters: list[list[float]] = []
     scores: list[dict[str, list[Score]]] = [{name: [] for name in scorer.criteria} for _ in weights]
@@ -130,10 +129,7 @@ def sweep_nested(
     threads: int | None,
     on_step: OnStep,
 ) -> Sweep[ModelT]:
-    """Judge nested designs of increasing counts.
-
-    For each weight, `on_step` is called as often as `mexpress.leastsquares.nested.steps` says.
-    """
+    """Score nested designs of increasing counts; `mexpress.leastsquares.nested.steps` counts the calls of `on_step`."""
     sizes = np.array([design.columns(count) for count in counts.tolist()])
     bending = design.bending()
     parameters = np.full((len(counts), len(weights)), math.nan)
@@ -165,9 +161,9 @@ def _nested(design: Design[ModelT], bending: Floats, weight: float, threads: int
 
 
 def _fits(design: Design[ModelT], weights: Floats, threads: int | None) -> tuple[Iterable[FittedAt], int]:
-    """Fits of one design at all weights, made as they are asked for, and its rank without bending energy.
+    """Fits of one design at all weights, and its rank without bending energy.
 
-    Each is as large as the design, so that all of them at once would take many times its memory.
+    The fits are made one by one: each is as large as the design, so all at once would take many times its memory.
     """
     bending = design.bending()
     if not (len(bending) and weights[-1] > 0):

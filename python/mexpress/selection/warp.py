@@ -1,12 +1,4 @@
-"""The selection of a warp.
-
-Examples
---------
->>> import numpy as np
->>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
->>> select_warp(source, 2 * source + 1, counts=[3, 4, 5]).criterion
-'ER10'
-"""
+"""The selection of a warp."""
 
 from __future__ import annotations
 
@@ -39,18 +31,18 @@ from mexpress.selection.weights import is_automatic, largest_automatic_count, se
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarpSelection(FittedSelection[Warp]):
-    """A warp with the number of control points that a criterion chose; see `Selection` for the other fields.
+    """A warp with the number of control points that a criterion selects; see `Selection` for the other fields.
 
     Parameters
     ----------
     warps : dict of int to Warp
-        The fitted warp of every count that is determined, with the weight that the criterion prefers there.
+        The warp of every count that the data determine, at the criterion's best weight for the count.
     source, target : (n, 2) array
         The matches, in pixels.
     image_size : tuple of float, optional
         (width, height) of the source image in pixels.
     placement : str
-        How control points were spread.
+        Placement of the control points, as for `select_warp`.
 
     Examples
     --------
@@ -102,58 +94,56 @@ def select_warp(
     threads: int | None = None,
     progress: bool = False,
 ) -> WarpSelection:
-    """Fit a warp to point matches with the number of control points that a criterion chooses.
+    """Fit a warp to point matches with the number of control points that a criterion selects.
 
     Parameters
     ----------
     source, target : (n, 2) array
-        Matches, x then y, in pixels of either image; free of wrong ones.
+        Matches, x then y, in pixels of either image; without wrong matches.
     criterion : str, optional
-        Which criterion selects, see `mexpress.criteria`. ER10 if not given: it predicts every match with all matches
-        within 10 % of the diagonal held out, as the paper advises; no radius is right for every use, so look at
-        several. MATCHED if not given and `smoothing` is "auto": it holds out what makes predictions as far from the
-        matches as they are in use.
+        Criterion that selects, see `mexpress.criteria`. ER10 by default, as the paper advises: it predicts every match
+        with all matches within 10 % of the diagonal held out. No radius is right for every use, so compare several.
+        With `smoothing` "auto", MATCHED by default: it matches the distances from predictions to training data to
+        those in use.
     criteria : sequence of str, or mapping of str to Scheme, optional
-        Others to be computed beside it; FIT, PRESS and CMPRESS if not given. A mapping gives schemes of one's own,
-        by names that no criterion has: if the criterion is one of them they stand alone, else beside the three.
+        Further criteria to compute; FIT, PRESS and CMPRESS by default. A mapping gives schemes by names that no
+        criterion has. If the criterion is one of these names, only the schemes are computed, else also the three.
     lifting : str, default "tps"
-        The functions that bend the plane: "tps", "bspline", "affine", or of one's own, see `mexpress.liftings`.
+        Name of the lifting: "tps", "bspline", "affine", or a registered name, see `mexpress.liftings`.
     fractional : bool, default True
         Whether the warp models perspective.
     counts : sequence of int, optional
-        Numbers of control points to try; 3 to half the number of matches, at most 100, if not given. With
-        `smoothing` "auto" the fewest, and as many as there are matches, at most 300 (900 without perspective):
-        stiffness does the rest, and fewer models leave less to chance.
+        Numbers of control points to try; 3 to half the number of matches, at most 100, by default. With `smoothing`
+        "auto", only the smallest and the number of matches, at most 300 (900 without perspective): the weight
+        controls the flexibility, and the choice among fewer models is less random.
     placement : {"lloyd", "nested"}, optional
-        How control points are spread. "lloyd": over the region that the source points cover, anew for every count,
-        by Lloyd's algorithm. "nested", of thin-plate splines alone: at source points, in an order of which every
-        beginning is spread evenly, so that the models are nested and all counts are judged at once. If not given, it
-        is "lloyd" with one weight of smoothing and "nested" with several. Liftings on grids, "bspline" and "affine",
-        have their grids in place of "lloyd".
+        Placement of control points. "lloyd": for every count anew, over the region that the source points cover, by
+        Lloyd's algorithm ("bspline" and "affine" have grids instead). "nested", for thin-plate splines only: the next
+        control point is always the source point farthest from those so far, so the models are nested and all counts
+        are scored at once. The default is "lloyd" with one weight of smoothing and "nested" with several.
     smoothing : float, list of float or "auto", default 0
-        Weight of the warp's bending energy beside the sum of squared residuals: larger is stiffer, down to an
-        affine map or a homography. Of several, the best is selected together with the count. "auto" tries twenty,
-        from negligible to dominant.
+        Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
+        warp, in the limit an affine map or a homography. Of several weights, the best is selected together with the
+        count. "auto" tries twenty, from negligible to dominant.
     image_size : (width, height), optional
-        Of the source image in pixels; ERxx is a percentage of its diagonal. The source points' bounding box if
-        not given.
+        Size of the source image in pixels; ERxx is a percentage of its diagonal. The source points' bounding box by
+        default.
     seed : int, default 0
-        Of everything random: the same seed gives the same result, whatever the number of threads.
+        Seed of everything random. The same seed gives the same result with any number of threads.
     threads : int, optional
-        At most so many threads; MEXPRESS_NUM_THREADS or all cores if not given.
+        Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
     progress : bool, default False
         Whether to show progress on the terminal.
 
     Returns
     -------
     WarpSelection
-        With the warp, the curves, and what every criterion would choose.
+        The warp, the curves, and the model that every criterion selects.
 
     Raises
     ------
     ValueError, TypeError
-        If the input is not made of finite matches that cover a region, or if the criterion is undefined at
-        every count.
+        If the matches are not finite or do not cover a region, or if the criterion is undefined at every count.
 
     Examples
     --------
@@ -209,5 +199,5 @@ def select_warp(
 
 
 def _over_data(placement: str) -> bool | None:
-    """Whether denominators have mean one over the data, as nested models need it; None is as the lifting likes it."""
+    """Whether denominators have mean one over the data, as nested models need it; None for the lifting's default."""
     return True if placement == "nested" else None

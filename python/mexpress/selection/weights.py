@@ -1,10 +1,4 @@
-"""The weight of the bending energy: one, several, or as many as it takes to find the best.
-
-Examples
---------
->>> smoothing_weights([10, 1], 50, 1e4, 20)
-array([ 1., 10.])
-"""
+"""The weights of the bending energy to try: one, several, or automatic ones."""
 
 import math
 from typing import Any
@@ -18,31 +12,25 @@ from mexpress._validation import Floats
 AUTO = "auto"
 
 _WEIGHTS = 20
-"""How many weights "auto" tries."""
+"""Number of weights that "auto" tries."""
 
 _MOST_PARAMETERS = 900
-"""Of a design whose stiffness is found automatically: the time grows with their cube."""
+"""Largest number of unknowns with an automatic weight: the time grows with its cube."""
 
 _STIFFEST, _LOOSEST = 100.0, 1e-3
-"""Largest and smallest weight that "auto" tries, in units of n x area; the smallest is divided by the square of the
-largest count too. The bending energy of a wave of unit amplitude, k radians a length, over an area a is k^4 a / 16 pi,
-and n data resist it with n / 2: the weight at which both are equal is 8 pi n / (k^4 a), from about 0.3 n a for waves
-as wide as the domain down to 0.3 n a / l^2 for the shortest that l control points make. Beyond, little changes."""
+"""Largest and smallest weight that "auto" tries, in units of n x area; the smallest is also divided by the square
+of the largest count. A wave of unit amplitude and wavenumber k has the bending energy k^4 a / 16 pi over an area a, and
+its squares at n data sum to n / 2. Both are equal at the weight 8 pi n / (k^4 a): about 0.3 n a for waves as wide as
+the domain, and 0.3 n a / l^2 for the shortest waves of l control points. Weights outside this range change little."""
 
 
 def several_weights(smoothing: float | ArrayLike | str) -> bool:
-    """Tell whether more than one weight is to be tried.
-
-    Examples
-    --------
-    >>> several_weights("auto"), several_weights([1.0, 1.0])
-    (True, False)
-    """
+    """Tell whether there is more than one weight to try."""
     return len(smoothing_weights(smoothing, 1, 1.0, 1)) > 1
 
 
 def tie_slack(smoothing: Any, n: int) -> float:
-    """Return the fraction of the best score within which scores are ties, with an automatic weight.
+    """Return the fraction of the best score within which scores are ties; 0 without an automatic weight.
 
     Sums of squared prediction errors count as equal if they differ by less than 1/n.
 
@@ -55,14 +43,9 @@ def tie_slack(smoothing: Any, n: int) -> float:
 
 
 def largest_automatic_count(n: int, functions: int) -> int:
-    """Return the most control points that an automatic weight needs: one a datum, unless unknowns become too many.
+    """Return the largest number of control points with an automatic weight: n data, up to a limit on the unknowns.
 
-    Parameters
-    ----------
-    n : int
-        Number of data.
-    functions : int
-        How many functions share a design: three of a fractional warp, otherwise one.
+    `functions` is the number of functions that share a design: three for a fractional warp, otherwise one.
 
     Examples
     --------
@@ -73,39 +56,28 @@ def largest_automatic_count(n: int, functions: int) -> int:
 
 
 def is_automatic(smoothing: Any) -> bool:
-    """Tell whether the weight is left to the library.
-
-    Examples
-    --------
-    >>> is_automatic("auto"), is_automatic(0.0)
-    (True, False)
-    """
+    """Tell whether the weight is "auto"."""
     return isinstance(smoothing, str) and smoothing == AUTO
 
 
 def smoothing_weights(smoothing: float | ArrayLike | str, n: int, area: float, largest: int) -> Floats:
-    """Return the weights that are to be tried, increasing.
+    """Return the weights to try, increasing: those given or, with "auto", twenty between the limits above.
 
     Parameters
     ----------
     smoothing : float, list of float, or "auto"
-        A weight, weights, or "auto" for twenty between the two that are explained above.
+        Weights of at least 0.
     n : int
         Number of data.
     area : float
-        Of the region that they cover.
+        Area of the region that they cover.
     largest : int
         Number of control points of the largest model.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If a weight is no finite number of at least 0, or there is none.
-
     Examples
     --------
-    >>> smoothing_weights("auto", 100, 1e4, 50).shape
-    (20,)
+    >>> smoothing_weights([10, 1], 50, 1e4, 20), smoothing_weights("auto", 100, 1e4, 50).shape
+    (array([ 1., 10.]), (20,))
     """
     if is_automatic(smoothing):
         unit = n * area
