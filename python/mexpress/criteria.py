@@ -1,21 +1,21 @@
-"""Criteria by name: a number per model, smallest for the model to choose.
+"""Criteria by name. A criterion gives every model a score and selects the model with the smallest score.
 
 ======================  ==================================================================================
-FIT                     root mean square residual, equation (11): always prefers more parameters
+FIT                     root mean square residual, equation (11); it always prefers more parameters
 PRESS                   every row held out on its own, equation (3)
 CMPRESS                 every datum held out on its own, equation (8)
 KFkk                    kk random folds, equation (9)
-ERxx                    local exclusion of all within xx % of the diagonal, equations (12, 13); decimals allowed
-NNxxPTS, NNxxPCT        local exclusion of the xx nearest, or xx % of the data, the datum itself counted
+ERxx                    local exclusion of all data within xx % of the diagonal, equations (12, 13); decimals allowed
+NNxxPTS, NNxxPCT        local exclusion of the xx nearest data, or xx % of the data, including the datum itself
 DELAUNAY                local exclusion of the neighbours in the Delaunay triangulation
-MATCHED                 local exclusion of just enough near data that a validated datum is as far from its training
+MATCHED                 local exclusion of just enough nearest data that a validated datum is as far from its training
                         data as a typical place of the region is from the data: `mexpress.schemes.matched`
-LPOxx                   sets of xx data, at most 1000 of them, drawn at random
+LPOxx                   all sets of xx data, or 1000 random ones if there are more
 RSxxPCT                 random xx % of the data, 100 times
-AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) for parameters
+AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) as the number of parameters
 ======================  ==================================================================================
 
-Case does not matter, and ``PRESS`` may follow, as in the paper: ``er10`` and ``ER10PRESS`` are ER10.
+Case does not matter, and ``PRESS`` may follow as in the paper: ``er10`` and ``ER10PRESS`` are ER10.
 
 Examples
 --------
@@ -60,7 +60,7 @@ RANDOM_REPEATS = 100
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion's name, its family (a pattern above), and the number in it.
+    """A criterion: its name, its family (one of the patterns above), and the number in the name.
 
     Examples
     --------
@@ -76,20 +76,20 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """What the schemes of a sweep are made of: where the data are, how large the domain is, and a seed.
+    """The domain over which criteria build their schemes.
 
     Parameters
     ----------
     points : (n, 2) array
-        Where the data are, checked.
+        Positions of the data, checked.
     diagonal : float
-        What ERxx is a percentage of.
+        Length of which ERxx is a percentage.
     region : Region, optional
-        What the points cover; found when it is needed if not given.
+        Region that the points cover; found when it is needed by default.
     seed : int
-        Of the random schemes.
+        Seed of the random schemes.
     threads : int
-        At most so many threads.
+        Largest number of threads.
 
     Examples
     --------
@@ -105,17 +105,17 @@ class Domain:
 
     @cached_property
     def places(self) -> Places:
-        """The points, to be asked who is near whom."""
+        """The points, prepared for searches of neighbours."""
         return Places(self.points)
 
 
 def _share(percent: float, n: int) -> int:
-    """A percentage of the data, at least one, half rounding up."""
+    """Number of data in a percentage, at least one; halves round up."""
     return max(1, math.floor(percent * n / 100 + 0.5))
 
 
 def _matched(domain: Domain) -> Scheme:
-    """Distances matched to those from the region that the data cover."""
+    """The scheme of `mexpress.schemes.matched` with queries all over the region that the data cover."""
     region = domain.region or Region(hull(domain.points, "points"))
     queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
     return domain.places.matched(queries, threads=domain.threads)
@@ -143,14 +143,14 @@ NEIGHBOURHOODS: dict[str, Callable[[float, Domain], LazyNeighbourhoods]] = {
     "NN..PTS": lambda k, domain: domain.places.lazily_nearest(int(k)),
     "NN..PCT": lambda percent, domain: domain.places.lazily_nearest(_share(percent, len(domain.points))),
 }
-"""Of the schemes above, those that need not be listed."""
+"""The schemes above that nested models use without a list."""
 
 
 @dataclass(frozen=True)
 class FitSummary:
-    """What information criteria look at: E, and how many parameters, measurements and data there are.
+    """Input of the information criteria: E, and the numbers of parameters, measurements and data.
 
-    Several responses that share a design are as many measurements, and take as many parameters.
+    Each response that shares a design adds its own measurements and parameters.
     """
 
     rms: float
@@ -160,14 +160,14 @@ class FitSummary:
 
     @property
     def log_rss(self) -> float:
-        """ln(RSS / m), counting measurements: with several to a datum, each is one piece of evidence."""
+        """ln(RSS / m), with m the number of measurements: each is one piece of evidence, also those of one datum."""
         if self.rms == 0:
             return -math.inf
         return 2 * math.log(self.rms) + math.log(self.n_data / self.n_rows)
 
     @property
     def free(self) -> float:
-        """Share of the rows that the parameters leave free; NaN if none, for then the residuals are rounding."""
+        """1 - parameters / rows; NaN if it is zero, where residuals are only rounding."""
         share = 1 - self.parameters / self.n_rows
         return share if share > 1e-12 else math.nan
 
@@ -181,7 +181,7 @@ def _bic(fit: FitSummary) -> float:
 
 
 def _gcv(fit: FitSummary) -> float:
-    """Its root, so that it stands beside the prediction errors."""
+    """The root of GCV, comparable with prediction errors."""
     return fit.rms / fit.free
 
 
@@ -211,12 +211,12 @@ def parse(name: str) -> Criterion:
     Parameters
     ----------
     name : str
-        As in this module's table.
+        A name in the table of `mexpress.criteria`.
 
     Raises
     ------
     ValueError
-        If it is none of them.
+        If the table does not have the name.
 
     Examples
     --------
@@ -234,7 +234,7 @@ def parse(name: str) -> Criterion:
 
 
 def _find(name: str) -> Criterion | None:
-    """The criterion of a name, if there is one."""
+    """The criterion of a name, or None."""
     plain = name.strip().upper()
     if plain not in _PATTERNS:
         plain = plain.removesuffix("PRESS")
@@ -248,14 +248,14 @@ def _find(name: str) -> Criterion | None:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """A criterion's value for one model; NaN if some data cannot be predicted, and which.
+    """A criterion's value for one model, and the data that cannot be predicted.
 
     Parameters
     ----------
     value : float
-        In the responses' unit (AIC and BIC have none).
+        Value in the responses' unit (AIC and BIC have none); NaN if there are such data.
     undefined : int64 array
-        The data whose prediction lacks the rank.
+        Data whose training data do not determine the model.
 
     Examples
     --------
@@ -272,16 +272,16 @@ class Score:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scorer:
-    """Criteria made ready for one set of data: schemes are built once and serve every model of a sweep.
+    """Criteria for one set of data, whose schemes are built once for all models of a sweep.
 
     Parameters
     ----------
     criteria : dict of str to Criterion or None
-        By name; None for a scheme that the user gave.
+        Criteria by name; None for a scheme of the user.
     schemes : dict of str to Scheme
-        Of those criteria that have one.
+        Schemes by the names of the criteria that have one.
     neighbourhoods : dict of str to LazyNeighbourhoods
-        In their place for nested models, see `of`.
+        Neighbourhoods instead of schemes, for nested models, see `of`.
 
     Examples
     --------
@@ -305,27 +305,27 @@ class Scorer:
         threads: int | None = None,
         nested: bool = False,
     ) -> Scorer:
-        """Build the schemes that criteria need.
+        """Build the schemes of criteria.
 
         Parameters
         ----------
         criteria : sequence of str, or mapping of str to Scheme
-            Names, or schemes of one's own under names that are no criterion's.
+            Names of criteria, or schemes by names that no criterion has.
         points : (n, 2) array
-            Where the data are.
+            Positions of the data.
         diagonal : float, optional
-            What ERxx is a percentage of; that of the points' bounding box if not given.
+            Length of which ERxx is a percentage; the diagonal of the points' bounding box by default.
         seed : int
-            Of the random schemes.
+            Seed of the random schemes.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
         nested : bool, default False
-            Whether it is for nested models, which need no list of who is near whom.
+            Whether the scorer is for nested models, which need no lists of neighbours.
 
         Raises
         ------
         ValueError, TypeError
-            If a name is no criterion's or does not suit the data, or a scheme has the name of a criterion.
+            If no criterion has a name or it does not suit the data, or a scheme has the name of a criterion.
 
         Examples
         --------
@@ -342,7 +342,7 @@ class Scorer:
     def over(
         cls, criteria: Sequence[str] | Mapping[str, Scheme], domain: Domain, nested: bool = False
     ) -> Scorer:
-        """Build the schemes that criteria need over a domain, see `of`."""
+        """Build the schemes of criteria over a domain, see `of`."""
         rule = "It must be a list of names, or schemes by name."
         if isinstance(criteria, Mapping):
             _check_own_schemes(criteria, len(domain.points), rule)
@@ -364,19 +364,19 @@ class Scorer:
         return f"Scorer({', '.join(self.criteria)})"
 
     def scores(self, model: LeastSquares, threads: int | None = None) -> dict[str, Score]:
-        """Every criterion's score of a model; all undefined if the data do not determine the model.
+        """Score a model by every criterion; all scores are undefined if the data do not determine the model.
 
         Parameters
         ----------
         model : LeastSquares
-            Over as many data as there are points.
+            A model of the data at the points.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
 
         Returns
         -------
         dict of str to Score
-            By the criteria's names.
+            Scores by the names of the criteria.
 
         Examples
         --------
@@ -413,23 +413,23 @@ class Scorer:
         threads: int | None = None,
         on_step: Callable[[], None] | None = None,
     ) -> dict[str, list[Score]]:
-        """Every criterion's score of every model of a nested design, in one sweep.
+        """Score every model of a nested design by every criterion, in one sweep.
 
         Parameters
         ----------
         nested : Nested
-            From `mexpress.leastsquares.nested`, over as many data as there are points.
+            From `mexpress.leastsquares.nested`, over the data at the points.
         sizes : (k,) int64 array
-            The models' numbers of columns, increasing.
+            Numbers of columns of the models, increasing.
         threads : int, optional
-            At most so many threads.
+            Largest number of threads.
         on_step : callable, optional
-            Called now and then, as often as `mexpress.leastsquares.nested.steps` says.
+            Called as progress is made, `mexpress.leastsquares.nested.steps` times.
 
         Returns
         -------
         dict of str to list of Score
-            By the criteria's names, one a size.
+            One score per size, by the names of the criteria.
 
         Examples
         --------
@@ -464,7 +464,7 @@ class Scorer:
                 scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
             else:
                 scores[name] = _scored(nested.press(sizes, threads), singletons(nested.n_rows))
-        # As in `scores`: nothing is said of models that the data do not determine.
+        # As in `scores`: models that the data do not determine have no score.
         for k in np.flatnonzero(fits.rank < sizes):
             for curve in scores.values():
                 curve[k] = Score(math.nan, np.arange(nested.n_data))
@@ -485,7 +485,7 @@ def _check_own_schemes(criteria: Mapping[str, Scheme], n: int, rule: str) -> Non
 
 
 def _scored(curve: NestedCurve, validated: IndexSets) -> list[Score]:
-    """Scores of all models, with the validated data of the pairs that lack the rank."""
+    """Scores of all models, with the validated data of the undefined pairs."""
     scores = []
     for k, value in enumerate(curve.scores):
         lost = np.flatnonzero(curve.defined <= k)
@@ -512,7 +512,7 @@ def _made(
         check.refuse("criteria", f"In {criterion.name}, {rule[0].lower()}{rule[1:]}", given)
 
 
-if not TYPE_CHECKING:  # a type checker would take it for any name
+if not TYPE_CHECKING:  # otherwise a type checker accepts any attribute
 
     def __getattr__(name: str) -> Any:
         if name == "Judge":

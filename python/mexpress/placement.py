@@ -1,4 +1,4 @@
-"""Where control points go: over the region that the data cover, to the data that fit worst, or to all data in turn."""
+"""Placement of control points: over the region of the data, at data that fit badly, or at data far from each other."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,7 @@ COINCIDENT = 1e-5
 """Control points coincide when they are nearer than this fraction of the largest distance to their mean."""
 
 SPACING = 0.025
-"""What `by_residual` keeps control points apart by, as a fraction of the diagonal of the data's bounding box."""
+"""Default smallest distance in `by_residual`, as a fraction of the diagonal of the data's bounding box."""
 
 _DRAWS = 100
 
@@ -41,31 +41,31 @@ def lloyd(
 ) -> Floats:
     """Spread control points over the region that the data cover, by Lloyd's algorithm.
 
-    The region, the convex hull of the points, is sampled evenly; every centre moves to the mean of the
-    samples nearest to it, until none moves. Where the data are dense does not matter, only where they end.
+    The region is the convex hull of the points, and is sampled evenly. Every centre moves to the mean of its nearest
+    samples until all stay. The density of the data has no effect, only their hull.
 
     Parameters
     ----------
     points : array_like, (n, 2), or Region
-        Data positions, x then y, in any unit; or the region that they cover.
+        Positions of the data, x then y, in any unit, or the region that they cover.
     count : int
         Number of control points, 3 or more.
     seed : int, Generator or None
-        Of the starting centres: the same number gives the same control points, None fresh ones.
+        Seed of the starting centres. The same number gives the same control points, None fresh ones.
     threads : int, optional
-        Upper bound on threads; all cores by default. The result does not depend on it.
+        Largest number of threads; all cores by default. The result does not depend on it.
 
     Returns
     -------
     ndarray, (count, 2)
-        Control points, in the unit of the data. They move with the data when these are translated or scaled.
+        Control points, in the unit of the data. A translation or scaling of the data applies to them alike.
 
     Raises
     ------
     ValueError
-        If the points are on a line, fewer than three distinct ones, not finite, or `count` is below 3.
+        If there are fewer than three distinct points, or they are on a line or not finite, or `count` is below 3.
     TypeError
-        If the points are not numbers, or an option has not its type.
+        If the points are not numbers, or an option has a wrong type.
 
     Examples
     --------
@@ -79,8 +79,8 @@ def lloyd(
     centroid, shape, _ = moments(corners)
     samples = whitened(lattice(corners, max(2000, 60 * count)), centroid, shape)
     isotropic = shape / np.linalg.norm(shape)
-    # In a thin region the best few centres are on its axis, which determines no warp. In coordinates where
-    # the region has unit covariance it is as wide as long, and they are not.
+    # In a thin region the best few centres are on its axis, and do not determine a warp. In coordinates where
+    # the region has unit covariance, it is as wide as long, and they are not on a line.
     for frame in (isotropic, np.eye(2)):
         here = samples @ frame.T
         start = _spread_start(here, count, random)
@@ -92,28 +92,28 @@ def lloyd(
 
 
 def farthest_first(points: ArrayLike, max_count: int) -> Integers:
-    """Order data so that every leading part of them is spread evenly: each next is farthest from those before.
+    """Order data so that each next datum is the farthest from all before it: every leading part is spread evenly.
 
-    The first is farthest from the mean of the data, the second from the first, and the third makes the largest
-    triangle with them.
+    The first datum is the farthest from the mean, the second is the farthest from the first, and the third makes the
+    largest triangle with them.
 
     Parameters
     ----------
     points : array_like, (n, 2)
-        Data positions, x then y, in any unit.
+        Positions of the data, x then y, in any unit.
     max_count : int
-        How many are wanted, 3 or more.
+        Largest number of data, 3 or more.
 
     Returns
     -------
     ndarray, (l,)
-        Indices of the data; a tie goes to the smallest. Fewer than `max_count` if the others coincide with them
-        (they are nearer than 1e-5 of the diagonal of the points' bounding box).
+        Indices of the data; of equally far data, the smallest index. Fewer than `max_count` if all others coincide
+        with them (are nearer than 1e-5 of the diagonal of the points' bounding box).
 
     Raises
     ------
     ValueError
-        If the points are on a line, fewer than three distinct ones, not finite, or `max_count` is below 3.
+        If there are fewer than three distinct points, or they are on a line or not finite, or `max_count` is below 3.
     TypeError
         If the points are not numbers, or `max_count` is not a number.
 
@@ -128,8 +128,8 @@ def farthest_first(points: ArrayLike, max_count: int) -> Integers:
 
 
 def farthest_order(points: Floats, max_count: int) -> Integers:
-    """`farthest_first` of points that are checked, and cover a region."""
-    # A power of two, so that ties stay ties; squares then neither overflow nor underflow.
+    """`farthest_first` of checked points that cover a region."""
+    # Scaling by a power of two is exact and keeps ties; squares then neither overflow nor underflow.
     x, y = np.ldexp(points, -int(np.frexp(diagonal(points))[1])).T.copy()
     first = int(_squares(x, y, x.mean(), y.mean()).argmax())
     second = int(_squares(x, y, x[first], y[first]).argmax())
@@ -164,60 +164,58 @@ def by_residual(
     seed: int | np.random.Generator | None = 0,
     threads: int | None = None,
 ) -> Integers:
-    """Choose the data that become control points: always the one that fits worst so far.
+    """Choose the data that become control points: the next one is always the datum that fits worst so far.
 
-    Starts from three random data and the affine fit. Then a thin-plate spline on the control points so far is
-    fitted to all data by plain least squares, and of the data farther than `min_distance` from every control
-    point the one with the largest residual is the next, until `max_count` is reached or there is none. It
-    also ends when no residual is above 1e-12 of the largest value: data exactly on a plane get three
-    control points.
+    The first three are random. Then a thin-plate spline with the control points so far (an affine function at first) is
+    fitted to all data by plain least squares. Of the data farther than `min_distance` from every control point, the one
+    with the largest residual is next, until there are `max_count` control points or no such datum. The placement also
+    ends when no residual exceeds 1e-12 of the largest value: data exactly on a plane get three control points.
 
     Parameters
     ----------
     points : array_like, (n, 2)
-        Data positions, x then y, in any unit.
+        Positions of the data, x then y, in any unit.
     values : array_like, (n,) or (n, d)
-        Values there, in any unit; the residual of a datum is the norm over its d values. A tie, to within
-        1e-9, goes to the smallest index.
+        Values of the data, in any unit. The residual of a datum is the norm over its d values; of residuals equal to
+        within 1e-9, the smallest index is next.
     max_count : int
         Largest number of control points, 3 or more.
     min_distance : float, optional
-        Control points are farther apart than this, in the unit of the points; 2.5% of the diagonal of the
-        points' bounding box by default.
+        Control points are farther apart than this, in the unit of the points; 2.5% of the diagonal of the points'
+        bounding box by default.
     seed : int, Generator or None
-        Of the first three: the same number gives the same control points, None fresh ones.
+        Seed of the first three. The same number gives the same control points, None fresh ones.
     threads : int, optional
-        Upper bound on threads; all cores by default. The result does not depend on it.
+        Largest number of threads; all cores by default. The result does not depend on it.
 
     Returns
     -------
     ndarray, (l,)
-        Indices of the data that become control points, in the order in which they come: the first k are what
-        `max_count=k` gives. Fewer than `max_count` if the placement ends earlier.
+        Indices of the data that become control points, in order: the first k are the result of `max_count=k`. Fewer
+        than `max_count` if the placement ends earlier.
 
     Raises
     ------
     ValueError
-        If the points are on a line or fewer than three distinct ones, if values do not match them, entries are
-        not finite, or `max_count` is below 3.
+        If there are fewer than three distinct points, or they are on a line, if values do not match them, if entries
+        are not finite, or `max_count` is below 3.
     TypeError
-        If points or values are not numbers, or an option has not its type.
+        If points or values are not numbers, or an option has a wrong type.
 
     Notes
     -----
-    A penalty on bending plays no part: which data become control points does not depend on the smoothing that
-    is chosen later.
+    The placement does not depend on the weight of the bending energy that is selected later.
 
-    The first three are drawn with a probability proportional to the squared area of their triangle. So they
-    are well spread, never on a line or in one place, and in a thin or slanted strip as good as in a square,
-    without a threshold to tune. A draw with two of them nearer than `min_distance` is repeated, up to a
-    hundred times; if all fail, the one with the largest shortest side stands.
+    The first three are drawn with a probability proportional to the squared area of their triangle. They are thus well
+    spread and never on a line, in a thin or slanted strip as in a square, without a threshold to tune. A draw with two
+    points nearer than `min_distance` is repeated up to a hundred times; if all fail, the draw with the largest shortest
+    side is used.
 
-    The default of `min_distance` keeps cross-validation well-conditioned. The paper's advice is to hold out the
-    data within 10% of the diagonal. With control points 1% apart some such discs enclose so many of them that
-    the other data no longer determine them (smallest eigenvalue of I - H_KK below 1e-10); at 2.5% it stays above
-    1e-8 with 175 control points on real depth maps, and the fit is as good. Nor are control points
-    ever nearer than 1e-5 of the diagonal, where splines cannot tell them apart.
+    The default of `min_distance` keeps cross-validation well-conditioned. The paper advises to hold out the data within
+    10% of the diagonal. With control points 1% apart, some such discs contain so many control points that the other
+    data do not determine the model (smallest eigenvalue of I - H_KK below 1e-10). At 2.5% it stays above 1e-8 with 175
+    control points on real depth maps, and the fit is as good. Control points are never nearer than 1e-5 of the
+    diagonal, where splines cannot distinguish them.
 
     Examples
     --------
@@ -243,7 +241,7 @@ def residual_order(
     seed: int | np.random.Generator | None,
     threads: int | None,
 ) -> Integers:
-    """`by_residual` of data that are checked, and cover a region."""
+    """`by_residual` of checked data that cover a region."""
     random, threads = check.generator(seed), check.threads(threads)
     size = diagonal(points)
     distance = SPACING * size
@@ -256,7 +254,7 @@ def residual_order(
 
 
 def _spread_triangle(points: Floats, distance: float, random: np.random.Generator) -> tuple[int, int, int]:
-    """Draw three points, farther apart than a distance if a hundred draws will do."""
+    """Draw three points that are farther apart than a distance, if one of a hundred draws has such points."""
     centred = points - points.mean(axis=0)
     plane = np.linalg.qr(centred / np.abs(centred).max()).Q
     basis = np.column_stack([np.full(len(points), len(points) ** -0.5), plane])
@@ -279,9 +277,9 @@ def _spread_triangle(points: Floats, distance: float, random: np.random.Generato
 def _triangle(basis: Floats, random: np.random.Generator) -> tuple[int, int, int]:
     """Draw three points with a probability proportional to the squared area of their triangle.
 
-    That is the squared determinant of their rows in any basis of the affine functions. If it is orthonormal,
-    the first is drawn by the squared norms of the rows, the next by those of what is left of the rows when
-    the direction of the first is taken away, and so on.
+    That is the squared determinant of their rows in any basis of the affine functions. In an orthonormal basis, the
+    squared norms of the rows are the probabilities of the first point. Each next point has those of the rows after
+    projection orthogonal to the rows drawn so far.
     """
     left, drawn = basis, []
     for _ in range(3):
@@ -293,7 +291,7 @@ def _triangle(basis: Floats, random: np.random.Generator) -> tuple[int, int, int
 
 
 def _spread_start(samples: Floats, count: int, random: np.random.Generator) -> Floats:
-    """Draw samples, each with a probability that grows with its squared distance to those already drawn."""
+    """Draw samples, each with a probability that grows with the squared distance to the samples so far."""
     centres = samples[_core.spread(samples, random.random(count))]
-    # Off the grid: samples as near to one centre as to another would leave the choice to rounding.
+    # Centres off the grid: rounding would decide between centres that are equally near to a sample.
     return np.asarray(centres + 0.01 / np.sqrt(count) * random.standard_normal(centres.shape))

@@ -1,7 +1,7 @@
-"""What is held out and what is validated: lists of (held out, validated) pairs over data.
+"""Schemes: lists of (held out, validated) pairs of sets of data.
 
-A datum is one physical item (a match, a point, a pixel), whatever number of rows of the design it has. Every
-builder returns a `Scheme`; `LeastSquares.cross_validate` scores it.
+A datum is one physical item (a match, a point, a pixel) with one or more rows of the design. Every builder returns a
+`Scheme` for `LeastSquares.cross_validate`.
 
 Examples
 --------
@@ -44,7 +44,7 @@ __all__ = [
     "random_sampling",
 ]
 
-# Past this many indices, a list of all subsets is a mistake rather than a wish.
+# A list of more indices than this is probably a mistake.
 MOST_INDICES = 100_000_000
 
 SHARE_RULE = "It must be a share above 0 and at most 1."
@@ -57,20 +57,20 @@ class Scheme:
     Parameters
     ----------
     n_data : int
-        Number of data that the scheme is about.
+        Number of data.
     held_out : IndexSets
-        Data left out of the fit, for each pair.
+        Data of each pair that are left out of the fit.
     validated : IndexSets
-        Data whose prediction is scored, for each pair: a subset of those held out.
+        Data of each pair whose prediction is scored: a subset of the held-out data.
     order : (k,) int array, optional
-        The pairs in an order in which successive ones share most of what they hold out. It changes no result, but
-        the time that large neighbourhoods take.
+        An order of the pairs in which successive pairs share most held-out data. It saves time with large
+        neighbourhoods and does not change the result.
 
     Raises
     ------
     ValueError, TypeError
-        If an index is not below n_data, a set does not increase, a datum is validated without being held out, or
-        the order is none of the pairs.
+        If an index is not below n_data, a set does not increase, a validated datum is not held out, or the order is
+        not an order of the pairs.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Scheme:
 
     @property
     def visiting_order(self) -> Integers:
-        """The order, or that of the pairs if there is none, (k,)."""
+        """The order of the pairs, by default that of the list, (k,)."""
         return np.arange(len(self)) if self.order is None else self.order
 
     def __len__(self) -> int:
@@ -118,9 +118,9 @@ class Scheme:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LazyNeighbourhoods:
-    """Validate each datum with its neighbourhood held out, as `exclusion_radius` and `nearest` do.
+    """A scheme that validates each datum with its neighbourhood held out, without a list of the neighbourhoods.
 
-    The neighbourhoods are found when they are needed: listed, those of 300,000 pixels do not fit in memory.
+    They are found when they are needed: the lists for 300,000 pixels do not fit in memory.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class LazyNeighbourhoods:
     search : object of the core
         Finds the neighbourhood of a datum.
     order : (n_data,) int64 array
-        The data in an order in which successive ones are near each other.
+        An order of the data in which successive data are near each other.
 
     Examples
     --------
@@ -148,18 +148,7 @@ class LazyNeighbourhoods:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Places:
-    """Where the data are: checked and put in order once, for every scheme that asks who is near whom.
-
-    Parameters
-    ----------
-    points : (n, d) array, d from 1 to 3
-        As `_validation.points` returns them.
-
-    Examples
-    --------
-    >>> Places.of([[0, 0], [1, 0], [3, 0]]).within(1.5)
-    Scheme(3 pairs over 3 data, 1 to 2 held out)
-    """
+    """Positions of the data, (n, d) with d from 1 to 3, checked and sorted once for all searches of neighbours."""
 
     points: Floats
 
@@ -170,7 +159,7 @@ class Places:
 
     @cached_property
     def order(self) -> Integers:
-        """The data in an order in which successive ones are near each other."""
+        """An order of the data in which successive data are near each other."""
         return _core.hilbert_order(self.points)
 
     def within(self, radius: float, threads: int | None = None) -> Scheme:
@@ -197,12 +186,12 @@ class Places:
         return self._listed(lambda: _core.neighbours_delaunay(self.points))
 
     def lazily_within(self, radius: float) -> LazyNeighbourhoods:
-        """Find the neighbourhoods of `exclusion_radius` one by one."""
+        """Return the neighbourhoods of `exclusion_radius` without a list."""
         search = _core.LazyNeighbourhoods.within(self.points, _checked_radius(radius))
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
     def lazily_nearest(self, k: int) -> LazyNeighbourhoods:
-        """Find the neighbourhoods of `nearest` one by one."""
+        """Return the neighbourhoods of `nearest` without a list."""
         search = _core.LazyNeighbourhoods.nearest(self.points, check.count(k, "k", 1, len(self.points)))
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
@@ -221,7 +210,7 @@ def _checked_radius(radius: float) -> float:
 
 
 def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
-    """Every validated datum is held out."""
+    """Refuse validated data that are not held out."""
     inside = contained(held, validated)
     if not inside.all():
         i = int(inside.argmin())
@@ -257,7 +246,7 @@ def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
     k : int
         Number of folds, from 2 to n.
     seed : int or numpy Generator, optional
-        Where the randomness comes from; None draws afresh.
+        Seed or generator; None draws fresh numbers.
 
     Examples
     --------
@@ -272,17 +261,17 @@ def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
 
 
 def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = None) -> Scheme:
-    """Local exclusion: validate each datum with all data within a radius of it held out, equations (12, 13).
+    """Local exclusion: validate each datum with all data within a radius held out, equations (12, 13).
 
     Parameters
     ----------
     points : (n, d) array, d from 1 to 3
-        Where the data are.
+        Positions of the data.
     radius : float
-        Distance, in the unit of the points, up to which data are held out (d <= radius); 0 holds out the datum
-        and those that coincide with it. The paper advises 5 to 10 % of the domain's diagonal.
+        Distance up to which data are held out (d <= radius), in the unit of the points; 0 holds out the datum and
+        data that coincide with it. The paper advises 5 to 10 % of the domain's diagonal.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Examples
     --------
@@ -295,16 +284,16 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
-    """Validate each datum with its k nearest held out, itself counted.
+    """Validate each datum with its k nearest data held out, including itself.
 
     Parameters
     ----------
     points : (n, d) array, d from 1 to 3
-        Where the data are.
+        Positions of the data.
     k : int
-        Number of data held out, from 1 (leave-one-out) to n. Ties in distance go to the smaller index.
+        Number of held-out data, from 1 (leave-one-out) to n. At equal distance, the smaller index is nearer.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Examples
     --------
@@ -318,38 +307,37 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
 def matched(
     points: ArrayLike, queries: ArrayLike, min_train: float = 0.5, threads: int | None = None
 ) -> Scheme:
-    """Validate each datum with so many of its nearest held out that predictions reach as far as in use.
+    """Validate each datum with just enough nearest data held out that it is as far from its training data as a query.
 
-    Nearest-neighbour distance matching: the distances from validated data to their nearest training data are
-    spread as those from the queries to their nearest data are. Where data are as dense as the queries ask
-    for, that is leave-one-out; where they are crowded far from the queries, it is local exclusion.
+    Nearest-neighbour distance matching: distances from validated data to their nearest training data are distributed
+    like distances from queries to their nearest data. This is leave-one-out for data as dense as the queries need,
+    and local exclusion for data that crowd far from the queries.
 
     Parameters
     ----------
     points : (n, d) array, d from 1 to 3
-        Where the data are.
+        Positions of the data.
     queries : (q, d) array
-        Where the model will be used: a few hundred places at least, or a sample of them.
+        Positions where the model will be used, or a sample of them: a few hundred at least.
     min_train : float, default 0.5
-        Share of the data that must be left to train on, above 0 and at most 1: a datum with no more left gets no
-        farther. One is always left.
+        Smallest share of training data, above 0 and at most 1: a datum that reaches it holds out no more data. At
+        least one training datum remains.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Raises
     ------
     ValueError
-        If the points and the queries have not the same number of coordinates.
+        If the points and the queries have different numbers of coordinates.
 
     Notes
     -----
-    This is the algorithm of the R package CAST (nndm with phi="max"), whose `min_train` has the same default. The
-    data are visited in the order of their distance to their nearest training datum, equal ones by index. If, with
-    this distance counted as r, more than 1 + n F(r) data have theirs within r, where F(r) is the share of
-    queries that have a datum within r, that nearest one is held out too; else the datum is done. So distances
-    only grow: queries nearer to the data than these are to each other leave it at leave-one-out. Of several at the
-    same distance the one with the smallest index is held out first. (CAST leaves alone all that are at the same
-    distance as a datum with no more than `min_train` left; here the others may go on.)
+    This is the algorithm of the R package CAST (nndm with phi="max"), whose `min_train` has the same default. Data are
+    visited in the order of the distance r to their nearest training datum, then by index. F(r) is the share of queries
+    with a datum within r. If more than 1 + n F(r) data have a distance of at most r, the nearest training datum is
+    also held out; otherwise the datum is done. Distances only grow, so queries that are nearer to the data than the
+    data are to each other give leave-one-out. At equal distance, the smallest index is held out first. (If a datum
+    reaches `min_train`, CAST stops at all data with the same distance; here, the other data go on.)
 
     References
     ----------
@@ -376,8 +364,7 @@ def delaunay(points: ArrayLike) -> Scheme:
     Parameters
     ----------
     points : (n, 2) array
-        Where the data are. Data that coincide share their neighbours; on a line the neighbours are those next
-        to a datum.
+        Positions of the data. Coincident data share their neighbours. On a line, the neighbours are the adjacent data.
 
     Examples
     --------
@@ -389,14 +376,14 @@ def delaunay(points: ArrayLike) -> Scheme:
 
 
 def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:
-    """Local exclusion by any distance: validate each datum with all data within tau of it held out, equation (12).
+    """Local exclusion by any distance: validate each datum with all data within tau held out, equation (12).
 
     Parameters
     ----------
     delta : (n, n) array, or callable
-        ``delta[i, j]``, or ``delta(i)[j]``: how far datum j is from datum i, in any unit; infinity is never held
-        out. It need not be symmetric. A callable gets a datum and returns its distances to all n, so that no
-        n x n matrix need exist: along a surface, over time, between images.
+        ``delta[i, j]``, or ``delta(i)[j]``: distance of datum j from datum i in any unit, for instance along a surface,
+        in time, or between images. It need not be symmetric; data at infinity are never held out. A callable returns
+        the distances of one datum to all n data, and avoids an n x n matrix.
     tau : float
         Distance up to which data are held out; the datum itself always is.
     n : int, optional
@@ -405,7 +392,7 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
     Raises
     ------
     ValueError, TypeError
-        If the distances of a datum are not n numbers, or one of them is NaN.
+        If the distances of a datum are not n numbers, or one is NaN.
 
     Examples
     --------
@@ -435,7 +422,7 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
 
 
 def _matrix_rows(delta: ArrayLike, n: int | None) -> tuple[Callable[[int], ArrayLike], int]:
-    """What gives the rows of a distance matrix, and how many there are."""
+    """A function from datum to row of a distance matrix, and the number of rows."""
     matrix = check.real(delta, "delta")
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
         check.refuse("delta", "It must have shape (n, n), or be callable.", f"shape {matrix.shape}")
@@ -467,14 +454,14 @@ def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -
     p : int
         Size of the sets, from 1 to n.
     max_sets : int, optional
-        If there are more sets than this, so many different ones are drawn.
+        If there are more sets, this number of different sets is drawn at random.
     seed : int or numpy Generator, optional
-        Where the randomness comes from; None draws afresh.
+        Seed or generator; None draws fresh numbers.
 
     Raises
     ------
     ValueError
-        If all sets are asked for and they are too many to list.
+        If there are too many sets to list, and `max_sets` is not given.
 
     Examples
     --------
@@ -505,18 +492,18 @@ def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -
 
 
 def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme:
-    """Hold out random sets of one size, again and again.
+    """Hold out random sets of one size.
 
     Parameters
     ----------
     n : int
         Number of data.
     size : int
-        How many are held out each time, from 1 to n.
+        Number of held-out data in a set, from 1 to n.
     repeats : int
-        How many times.
+        Number of sets.
     seed : int or numpy Generator, optional
-        Where the randomness comes from; None draws afresh.
+        Seed or generator; None draws fresh numbers.
 
     Examples
     --------
@@ -535,21 +522,21 @@ def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme
 def from_sets(
     held_out: Iterable[ArrayLike], validated: Iterable[ArrayLike] | None = None, n: int | None = None
 ) -> Scheme:
-    """Build a scheme of any sets of data.
+    """Build a scheme from any sets of data.
 
     Parameters
     ----------
     held_out : iterable of index arrays
-        Data left out of the fit, for each pair; from 0, in any order.
+        Data of each pair that are left out of the fit; indices from 0, in any order.
     validated : iterable of index arrays, optional
-        Data that are scored, for each pair; all that are held out if not given.
+        Data of each pair whose prediction is scored; all held-out data by default.
     n : int, optional
-        Number of data; one more than the largest index if not given.
+        Number of data; one more than the largest index by default.
 
     Raises
     ------
     ValueError
-        If an index repeats, is negative or not below n, or is validated without being held out.
+        If an index repeats, is negative or not below n, or is validated but not held out.
 
     Examples
     --------
@@ -564,7 +551,7 @@ def from_sets(
 
 
 def _listed(sets: Iterable[ArrayLike], name: str, bound: int | None) -> IndexSets:
-    """Sets that users list, their indices in any order."""
+    """Index sets of the lists of users, with indices in any order."""
     rule = "It must be a list of distinct indices."
     items = enumerate(check.items(sets, name, "It must be a list of index arrays."))
     return checked(compress(check.integers(s, f"{name}[{i}]", rule) for i, s in items), name, bound)
@@ -576,17 +563,17 @@ def _number(*sets: IndexSets) -> int:
 
 
 def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = None) -> Scheme:
-    """Turn (train, test) index pairs, as scikit-learn's and verde's splitters give them, into a scheme.
+    """Build a scheme from (train, test) index pairs, as the splitters of scikit-learn and verde yield them.
 
-    The test data are validated; all that is not trained on is held out, so that a gap that the splitter leaves
-    around its test data is kept.
+    The test data are validated. All data outside the training data are held out, so a splitter's gap around its test
+    data is kept.
 
     Parameters
     ----------
     splits : iterable of (train, test)
         Index arrays, for instance ``KFold(5).split(X)``.
     n : int, optional
-        Number of data; one more than the largest index if not given.
+        Number of data; one more than the largest index by default.
 
     Examples
     --------
