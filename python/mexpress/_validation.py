@@ -1,4 +1,4 @@
-"""Checks of what users hand in. A message says what is invalid, the rule, and what was given."""
+"""Checks of arguments. Every message names what is invalid, the rule, and the given value."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ Integers: TypeAlias = NDArray[np.int64]
 # Squares and products of coordinates must not overflow.
 LARGEST_COORDINATE = 1e100
 
-# Nor must residuals, which may exceed the responses.
+# Residuals, which may exceed the responses, must not overflow either.
 LARGEST_RESPONSE = 1e303
 
 LARGEST_INDEX = 2**63 - 1
 
 
 def refuse(name: str, rule: str, given: str, error: type[Exception] = ValueError) -> NoReturn:
-    """Raise the error that all checks share."""
+    """Raise the error of all checks."""
     raise error(f"Invalid {name}. {rule} Given {given}.")
 
 
 def describe(value: object) -> str:
-    """What was given, in a few words."""
+    """A short description of a given value."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and type {value.dtype}"
     text = repr(value)
@@ -39,7 +39,7 @@ def describe(value: object) -> str:
 
 
 def array(value: ArrayLike, name: str, rule: str, kinds: str | None = None) -> NDArray[Any]:
-    """Array without masked entries; of one of numpy's kinds of types, unless it is empty."""
+    """Array without masked entries and, unless it is empty, of one of numpy's kinds of types."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         refuse(name, rule, f"{np.ma.getmaskarray(value).sum()} masked entries")
     try:
@@ -59,7 +59,7 @@ def real(value: ArrayLike, name: str) -> Floats:
 
 
 def finite(array: Floats, name: str) -> Floats:
-    """The array itself, or where its first entry stands that is NaN or infinite."""
+    """The array itself, if all entries are finite; the message names the first other entry."""
     rows = array.reshape(len(array), -1) if array.size else array.reshape(0, 1)
     place = _core.find_not_finite(rows)
     if place is not None:
@@ -79,7 +79,7 @@ def matrix(value: ArrayLike, name: str) -> Floats:
 
 
 def columns(value: ArrayLike, name: str, rows: int) -> Floats:
-    """Finite (rows,) or (rows, r) array, r at least one."""
+    """Finite (rows,) or (rows, r) array, with r at least 1."""
     array = real(value, name)
     if array.ndim not in (1, 2) or array.size == 0 or len(array) != rows:
         refuse(name, f"It must have shape ({rows},) or ({rows}, r).", f"shape {array.shape}")
@@ -87,7 +87,7 @@ def columns(value: ArrayLike, name: str, rows: int) -> Floats:
 
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
-    """Finite points (n, dimension), at least one; one to three coordinates if dimension is None."""
+    """At least one finite point, (n, dimension); one to three coordinates if dimension is None."""
     array = real(value, name)
     if dimension is None and array.ndim == 2 and 1 <= array.shape[1] <= 3:
         dimension = array.shape[1]
@@ -98,7 +98,7 @@ def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
 
 
 def _bounded(array: Floats, name: str, what: str, limit: float) -> Floats:
-    """The array itself, if it is finite and not larger than a limit."""
+    """The array itself, if it is finite and does not exceed a limit."""
     largest = max(float(finite(array, name).max()), -float(array.min()))
     if largest > limit:
         refuse(name, f"{what} must not exceed {limit:g}.", f"{largest:g}")
@@ -155,7 +155,7 @@ def sets(
 
 
 def items(value: Any, name: str, rule: str) -> list[Any]:
-    """List of anything iterable but text."""
+    """List of any iterable except text."""
     if isinstance(value, str | bytes):
         refuse(name, rule, describe(value), TypeError)
     try:
@@ -180,7 +180,7 @@ def count(value: Any, name: str, low: int, high: int | None = None) -> int:
 
 
 def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False) -> float:
-    """Finite number of at least low, or above it."""
+    """Finite number of at least low, or above low if strict."""
     if isinstance(value, str | bytes | bool | np.bool_):
         refuse(name, rule, describe(value), TypeError)
     try:
@@ -234,19 +234,19 @@ def intrinsics(value: Any) -> tuple[float, float, float, float] | None:
 
 
 def threads(value: Any) -> int:
-    """Number of threads: the argument, else MEXPRESS_NUM_THREADS, else what the process may use."""
+    """Number of threads: the argument, else MEXPRESS_NUM_THREADS, else the number of cores that the process may use."""
     if value is not None:
         return min(count(value, "threads", 1), 1024)
     variable = os.environ.get("MEXPRESS_NUM_THREADS", "").strip()
     if variable:
         if not (variable.isascii() and variable.isdecimal()) or float(variable) == 0:
             refuse("MEXPRESS_NUM_THREADS", "It must be a whole number of at least 1.", repr(variable))
-        return int(min(float(variable), 1024))  # a float has room for any number of digits
+        return int(min(float(variable), 1024))  # a float can hold any number of digits
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def generator(seed: Any) -> np.random.Generator:
-    """Random numbers from a seed; None draws a fresh one."""
+    """Random generator of a seed; None gives fresh numbers."""
     try:
         return np.random.default_rng(seed)
     except (TypeError, ValueError):

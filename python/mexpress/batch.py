@@ -43,52 +43,51 @@ def map_problems(
 ) -> list[Result]:
     """Call a function on many problems, on all cores.
 
-    The cores are used by processes with one thread each. Python's lock lets only one thread at a time do what is not
-    in the core: on 60 problems of 60 matches, with the paper's criteria and two cores, two processes took 11 s, two
-    threads of Python 20 s, and a loop 19 s. Starting processes costs about a second, so a few small problems gain
-    nothing (``benches/reproduce.py batches`` times all ways).
+    Every core runs a process with one thread, since Python's lock admits only one thread at a time outside the Rust
+    core. On 60 problems of 60 matches, with the paper's criteria and two cores, two processes took 11 s, two threads of
+    Python 20 s, and a loop 19 s. Processes start in about a second, so a few small problems gain nothing
+    (``benches/reproduce.py batches`` times all ways).
 
     Parameters
     ----------
     function : callable
-        Such as `select_warp`. It must be picklable, and so must be what it takes and returns: a function of a module,
-        not a lambda. Processes import the script that calls this, which must do so under
+        A function such as `select_warp`. It is a function of a module, not a lambda: it, its arguments and its results
+        must be picklable. Processes import the calling script, so a script must call this under
         ``if __name__ == "__main__":``, as with `multiprocessing`.
     problems : iterable of tuples or mappings
-        Each holds the arguments of one call, by position or by name.
+        The arguments of each call, by position or by name.
     workers : int, optional
-        Number of processes; MEXPRESS_NUM_THREADS, or the number of cores, if not given. 1 is a loop in this process,
-        which takes any function, and whose calls may use all cores themselves.
+        Number of processes; MEXPRESS_NUM_THREADS or the number of cores by default. With 1, a loop in this process
+        makes the calls: it takes any function, and the calls may use all cores.
     client : distributed.Client or concurrent.futures.Executor, optional
-        Makes the calls in place of processes of our own, with its workers and its threads: several calls on one
-        machine should then be given ``threads=1``.
+        Makes the calls with its own workers instead. Pass ``threads=1`` if it runs several calls on one machine.
     progress : bool, default False
         Whether to show progress on the terminal.
     on_result : callable, optional
-        Called in this thread with the index of a problem and its result, as soon as it is there.
+        Called in this thread with the index and the result of each problem, as soon as the result arrives.
     **options
-        More arguments by name, the same for every call.
+        Further arguments by name, the same for every call.
 
     Returns
     -------
     list
-        The results, in the order of the problems whatever the order they came in.
+        The results, in the order of the problems.
 
     Raises
     ------
     ValueError, TypeError
         If a problem is neither a tuple nor a mapping, or the function cannot be pickled.
     Exception
-        What the function raises, with a note that says in which problem: the first one, in the order of the problems,
-        that fails. Those before it are finished; those after it that are not are given up.
+        The exception of the first problem that fails, in the order of the problems, with a note of its index.
+        Earlier problems are finished; later unfinished ones are cancelled.
     RuntimeError
-        If a process dies, or the function raises what cannot be pickled.
+        If a process dies, or the function raises an exception that cannot be pickled.
 
     Notes
     -----
-    The seed of a call is among its arguments, so results do not depend on who computes them, or when, but for the last
-    bits of numpy's products, which depend on the number of threads of its BLAS: a process has one. Ctrl-C ends the
-    processes at once; what `on_result` has seen by then is not lost.
+    The seed is an argument of each call, so results do not depend on the workers, except for the last bits of numpy's
+    products, which depend on the number of threads of its BLAS (a process has one). Ctrl-C ends the processes at once;
+    `on_result` has received all results so far.
 
     Examples
     --------
@@ -126,7 +125,7 @@ def map_problems(
 
 
 def _stream(function: Callable[..., Any], calls: Sequence[Call], workers: int | None, client: Any) -> Results:
-    """Choose who makes the calls; results come with the indices of their problems."""
+    """Select the workers; results come with the indices of their problems."""
     number = check.threads(None) if workers is None else check.count(workers, "workers", 1)
     if client is not None:
         if workers is not None:
@@ -135,10 +134,10 @@ def _stream(function: Callable[..., Any], calls: Sequence[Call], workers: int | 
             rule = "It must be a distributed.Client, not an asynchronous one, or an Executor."
             check.refuse("client", rule, check.describe(client), TypeError)
         if callable(getattr(client, "get_executor", None)):
-            client = client.get_executor(pure=False)  # Dask takes a pure function's equal calls for one
+            client = client.get_executor(pure=False)  # Dask makes equal calls of pure functions once
         return _by_executor(client, function, calls, 1000, cancel=True)
-    number = min(number, len(calls), 61 if sys.platform == "win32" else len(calls))  # a limit of Windows
-    if number <= 1 or _within.get():  # if a worker calls, its siblings keep the other cores busy
+    number = min(number, len(calls), 61 if sys.platform == "win32" else len(calls))  # the limit of Windows
+    if number <= 1 or _within.get():  # in a worker, the other workers already use the cores
         return _in_turn(function, calls)
     return _by_processes(function, calls, number)
 
@@ -156,15 +155,15 @@ def _in_turn(function: Callable[..., Any], calls: Sequence[Call]) -> Results:
 def _by_processes(function: Callable[..., Any], calls: Sequence[Call], number: int) -> Results:
     try:
         pickle.dumps(function)
-    except Exception as error:  # whatever the function's class raises
+    except Exception as error:  # pickling can raise anything
         rule = "It must be picklable: define it in a module, or set workers=1."
         raise TypeError(f"Invalid function. {rule} Given {type(error).__name__}: {error}.") from error
     context = _Context()
     pool = ProcessPoolExecutor(number, context, _begin)
     try:
-        # Python 3.11's pool trips over futures that were cancelled when a worker dies.
+        # If a worker dies, Python 3.11's pool fails on futures that were cancelled.
         yield from _by_executor(pool, function, calls, 4 * number, cancel=False)
-    except BaseException:  # Ctrl-C and a caller that has enough among them
+    except BaseException:  # also Ctrl-C, and a caller that stops early
         for process in context.started:
             if process.is_alive():
                 process.kill()
@@ -176,7 +175,7 @@ def _by_processes(function: Callable[..., Any], calls: Sequence[Call], number: i
 def _by_executor(
     executor: Executor, function: Callable[..., Any], calls: Sequence[Call], ahead: int, cancel: bool
 ) -> Results:
-    """Hand out calls, so many ahead, until all below the first one that fails are done."""
+    """Submit a limited number of calls ahead, until all calls before the first failure are done."""
     pending: dict[Future[Any], int] = {}
     failure: BaseException | None = None
     following, bound = 0, len(calls)
@@ -205,7 +204,7 @@ def _by_executor(
 
 
 class _Process(SpawnProcess):
-    """A process whose libraries have one thread: it inherits variables that they read when they are imported."""
+    """A process whose libraries have one thread: they read the inherited variables when they are imported."""
 
     def start(self) -> None:
         with _STARTING:
@@ -221,7 +220,7 @@ class _Process(SpawnProcess):
 
 
 class _Context(SpawnContext):
-    """Makes processes for one pool, and knows them."""
+    """Makes the processes of one pool, and keeps a list of them."""
 
     def __init__(self) -> None:
         self.started: list[_Process] = []
@@ -232,7 +231,7 @@ class _Context(SpawnContext):
 
 
 def _begin() -> None:
-    """Prepare a worker: Ctrl-C is for its parent, and it ends when this does, which a pool's does not if idle."""
+    """Prepare a worker: it ignores Ctrl-C, and ends with its parent (an idle pool's worker would not)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -250,7 +249,7 @@ def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str,
     except Exception as error:
         try:
             pickle.loads(pickle.dumps(error))
-        except Exception:  # what cannot be unpickled would break the pool
+        except Exception:  # an exception that cannot be unpickled would break the pool
             raise RuntimeError(repr(error)) from error
         raise
     finally:

@@ -1,4 +1,4 @@
-"""The plane: the region that points cover, places spread evenly over it, and what is near what."""
+"""Geometry of the plane: the region that points cover, a lattice over it, and nearest points."""
 
 from __future__ import annotations
 
@@ -12,39 +12,28 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 
 NEAR_LINE = 1e-6
-"""Points are on a line when their spread across it is below this fraction of the spread along it."""
+"""Points are on a line if their spread across it is below this fraction of the spread along it."""
 
 EDGE = 1e-9
-"""A point this fraction of a region's extent outside of it counts as inside: rounding puts it there."""
+"""A point outside a region by less than this fraction of its extent counts as inside, because of rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The convex region that points cover, found once; to numpy it is the array of its corners.
-
-    Parameters
-    ----------
-    corners : ndarray, (k, 2)
-        As `covered_region` gives them.
+    """The convex region that points cover, computed once; numpy converts it to its corners, (k, 2).
 
     Examples
     --------
-    >>> Region.of([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1]]).area
-    12.0
+    >>> square = Region.of([[0, 0], [4, 0], [4, 3], [0, 3], [2, 1]])
+    >>> square.area, Region.of(square) is square
+    (12.0, True)
     """
 
     corners: Floats
 
     @classmethod
     def of(cls, points: ArrayLike | Region, name: str = "points") -> Region:
-        """Return the region that points cover, or the region itself.
-
-        Examples
-        --------
-        >>> square = Region.of([[0, 0], [1, 0], [1, 1], [0, 1]])
-        >>> Region.of(square) is square
-        True
-        """
+        """Return the region that points cover, or the region itself."""
         return points if isinstance(points, Region) else cls(covered_region(points, name))
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
@@ -52,7 +41,7 @@ class Region:
 
     @cached_property
     def area(self) -> float:
-        """In the squared unit of the corners."""
+        """Area in the squared unit of the corners."""
         return area(self.corners)
 
 
@@ -62,13 +51,13 @@ def thinness(points: Floats) -> float:
     Parameters
     ----------
     points : array, (n, 2)
-        Positions, in any unit: the ratio does not change with a similarity.
+        Positions in any unit; a similarity does not change the ratio.
 
     Returns
     -------
     float
-        Ratio of the two singular values of the centred points: 1 for a square, 0 on a line and for fewer
-        than three distinct points.
+        Ratio of the two singular values of the centred points: 1 for a square, 0 on a line or for fewer than three
+        distinct points.
 
     Examples
     --------
@@ -84,25 +73,25 @@ def thinness(points: Floats) -> float:
 
 
 def covered_region(points: ArrayLike, name: str = "points") -> Floats:
-    """Return the convex hull of points: the region that they cover.
+    """Return the region that points cover: their convex hull.
 
     Parameters
     ----------
     points : array_like, (n, 2)
         Positions, x then y.
     name : str
-        What an error message calls them.
+        Name of the points in an error message.
 
     Returns
     -------
     ndarray, (k, 2)
-        Corners, counter-clockwise from the leftmost one (the lowest of them); none is on a straight edge.
+        Corners, counter-clockwise from the leftmost one (the lowest of these), without points on straight edges.
 
     Raises
     ------
     ValueError
-        If the points are fewer than three distinct ones or lie on a line: their spread across it is below
-        1e-6 of that along it.
+        If there are fewer than three distinct points, or they are on a line: the spread across it is below 1e-6 of
+        the spread along it.
 
     Examples
     --------
@@ -113,7 +102,7 @@ def covered_region(points: ArrayLike, name: str = "points") -> Floats:
 
 
 def hull(points: Floats, name: str) -> Floats:
-    """`covered_region` of points that are checked."""
+    """`covered_region` of checked points."""
     corners = _convex_hull(points)
     if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
         rule = "They must cover a region: three distinct points or more, not on a line."
@@ -134,25 +123,15 @@ def area(corners: Floats) -> float:
 
 
 def diagonal(points: Floats) -> float:
-    """Return the length of the diagonal of the bounding box of points, (n, 2), in their unit.
-
-    Examples
-    --------
-    >>> diagonal(np.array([[0.0, 0.0], [3.0, 1.0], [1.0, 4.0]]))
-    5.0
-    """
+    """Return the diagonal of the bounding box of points, (n, 2), in their unit."""
     return float(np.hypot(*np.ptp(points, axis=0)))
 
 
 def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Tell which places are in a convex region or, but for rounding, on its edge.
+    """Tell which points are in a convex region or, within rounding, on its edge.
 
-    Parameters
-    ----------
-    corners : ndarray, (k, 2)
-        As `covered_region` gives them.
-    x, y : ndarray
-        Coordinates, of shapes that broadcast: (n,) and (n,) for n places, (columns,) and (rows, 1) for a grid.
+    `x` and `y` are coordinates of shapes that broadcast: (n,) and (n,) for n points, (columns,) and (rows, 1) for a
+    grid.
 
     Examples
     --------
@@ -163,7 +142,7 @@ def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
     # A convex region is above the lines of its lower edges, which run to the right, and below those of the upper ones.
     low, extent = corners.min(axis=0), np.ptp(corners, axis=0)
     edges = np.roll(corners, -1, axis=0) - corners
-    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # the others are the left and the right end
+    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # other edges are the left and the right end
     (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
     lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
     below, above = lines[dx > 0].max(axis=0), lines[dx < 0].min(axis=0)
@@ -172,7 +151,7 @@ def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
 
 
 def nearest(places: Floats, points: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return which of n points, (n, 2), is nearest to each of k places, (k,), and how far away it is, (k,).
+    """Return the index of the nearest of n points, (n, 2), to each of k places, (k, 2), and its distance, (k,) each.
 
     Examples
     --------
@@ -184,7 +163,7 @@ def nearest(places: Floats, points: Floats) -> tuple[NDArray[np.intp], Floats]:
     index = np.empty(len(here), dtype=np.intp)
     step = 1 + (1 << 18) // len(there)
     for first in range(0, len(here), step):
-        squared = (there**2).sum(axis=1) - 2 * here[first : first + step] @ there.T  # but for a constant
+        squared = (there**2).sum(axis=1) - 2 * here[first : first + step] @ there.T  # up to a constant
         index[first : first + step] = squared.argmin(axis=1)
     return index, np.asarray(np.hypot(*(places - points[index]).T))
 
@@ -192,15 +171,15 @@ def nearest(places: Floats, points: Floats) -> tuple[NDArray[np.intp], Floats]:
 def lattice(corners: Floats, number: int) -> Floats:
     """Return about `number` points spread evenly inside a convex region.
 
-    The regular grid is laid in coordinates where the region has unit covariance, so a thin or slanted region
-    has as many points across as along it.
+    The lattice is a regular grid in coordinates where the region has unit covariance, so a thin or slanted region has
+    as many points across it as along it.
 
     Parameters
     ----------
     corners : ndarray, (k, 2)
         Corners as `covered_region` gives them.
     number : int
-        How many points are wanted; the grid's fit to the edges changes it by a few percent.
+        Desired number of points; the actual number differs by a few percent because of the edges.
 
     Returns
     -------
@@ -214,14 +193,14 @@ def lattice(corners: Floats, number: int) -> Floats:
     array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
     """
     centroid, shape, size = moments(corners)
-    # A lower triangular map keeps vertical lines vertical, hence the order of the corners in x.
+    # A lower triangular map keeps vertical lines vertical, and so keeps the order of the corners in x.
     white = whitened(corners, centroid, shape)
     step = np.sqrt(size / np.linalg.det(shape) / number)
     x, y = (_cell_centres(coordinates, step) for coordinates in white.T)
     last = np.lexsort((corners[:, 1], corners[:, 0]))[-1]
     below, above = white[: last + 1], np.vstack([white[last:], white[:1]])[::-1]
     lower, upper = (np.interp(x, *chain.T) for chain in (below, above))
-    # The slack keeps a point that rounding puts beside an edge, whatever the region's position.
+    # The slack keeps points that rounding moves outside an edge, at any position of the region.
     within = (y[:, None] >= lower - EDGE) & (y[:, None] <= upper + EDGE)
     row, column = np.nonzero(within)
     return np.asarray(centroid + np.column_stack([x[column], y[row]]) @ shape.T)
@@ -230,14 +209,14 @@ def lattice(corners: Floats, number: int) -> Floats:
 def moments(corners: Floats) -> tuple[Floats, Floats, float]:
     """Return centroid, lower Cholesky factor of the covariance, and area of a convex region.
 
-    A triangle that is a share S of the region, corners v_k about the centroid, adds S/12 (sum v_k v_k^T + s s^T),
-    s = sum v_k.
+    A triangle with a share S of the area and corners v_k, relative to the centroid, contributes
+    S/12 (sum v_k v_k^T + s s^T) with s = sum v_k.
     """
     fan = np.stack([np.broadcast_to(corners[0], corners[2:].shape), corners[1:-1], corners[2:]], axis=1)
     first, second = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
     areas = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
     total = float(areas.sum())
-    shares = areas / total  # products of areas and lengths would underflow in tiny units
+    shares = areas / total  # in tiny units, products of areas and lengths would underflow
     centroid = corners[0] + shares @ (first + second) / 3
     about = fan - centroid
     about = np.concatenate([about, about.sum(axis=1, keepdims=True)], axis=1)
@@ -246,7 +225,7 @@ def moments(corners: Floats) -> tuple[Floats, Floats, float]:
 
 
 def whitened(points: Floats, centroid: Floats, shape: Floats) -> Floats:
-    """Return points in coordinates where a region of these `moments` has unit covariance."""
+    """Return points in the coordinates where a region with these `moments` has unit covariance."""
     return np.asarray(np.linalg.solve(shape, (points - centroid).T).T)
 
 
@@ -257,7 +236,7 @@ def _cell_centres(coordinates: Floats, step: float) -> Floats:
 
 
 def _convex_hull(points: Floats) -> Floats:
-    """Andrew's monotone chain, after the bulk of many points is dropped."""
+    """Andrew's monotone chain; most inner points of a large set are removed first."""
     if len(points) > 50:
         points = _outer(points)
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()

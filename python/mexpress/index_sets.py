@@ -1,11 +1,4 @@
-"""Sets of indices in compressed rows: what is held out, what is validated, which rows a datum has.
-
-Examples
---------
->>> sets = compress([np.array([3, 1]), np.array([2])])
->>> sets, sets[0]
-(IndexSets(2 sets, 3 indices), array([1, 3]))
-"""
+"""Sets of indices in compressed rows: held-out data, validated data, or the rows of each datum."""
 
 from __future__ import annotations
 
@@ -24,21 +17,21 @@ from mexpress._validation import Integers
 class IndexSets(Sequence[Integers]):
     """Sets of indices in compressed rows: a sequence of int64 arrays.
 
-    Whoever takes sets checks them: a `Scheme`, and `LeastSquares.hat_blocks`.
+    `Scheme` and `LeastSquares.hat_blocks` check them.
 
     Parameters
     ----------
     offsets : (k + 1,) int64 array
         Set s is ``indices[offsets[s]:offsets[s + 1]]``.
     indices : (t,) int64 array
-        The members, set after set, increasing in each.
+        Members of the sets, set after set, increasing in each set.
 
     Examples
     --------
     >>> import mexpress as mx
     >>> sets = mx.schemes.from_sets([[0, 1], [2]]).held_out
-    >>> len(sets), sets[0]
-    (2, array([0, 1]))
+    >>> len(sets), sets[0], sets.sizes
+    (2, array([0, 1]), array([2, 1]))
     """
 
     offsets: Integers
@@ -46,19 +39,12 @@ class IndexSets(Sequence[Integers]):
 
     @property
     def sizes(self) -> Integers:
-        """Number of members of each set, (k,).
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> mx.schemes.from_sets([[0, 1], [2]]).held_out.sizes
-        array([2, 1])
-        """
+        """Number of members of each set, (k,)."""
         return np.diff(self.offsets)
 
     @property
     def arrays(self) -> tuple[Integers, Integers]:
-        """As the core takes them: (offsets, indices)."""
+        """Arguments for the core: (offsets, indices)."""
         return self.offsets, self.indices
 
     def __len__(self) -> int:
@@ -80,14 +66,14 @@ class IndexSets(Sequence[Integers]):
 
 
 def compress(sets: Iterable[Integers]) -> IndexSets:
-    """Index sets of a list of index arrays, each sorted."""
+    """Index sets of index arrays; each is sorted."""
     arrays = [np.sort(s) for s in sets]
     offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
     return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
 
 
 def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
-    """All sets of several, one after another."""
+    """The sets of several index sets, one after another."""
     sets = list(parts)
     if len(sets) == 1:
         return sets[0]
@@ -96,23 +82,23 @@ def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
 
 
 def singletons(n: int) -> IndexSets:
-    """Each of n indices alone."""
+    """One set for each of n indices."""
     return IndexSets(np.arange(n + 1), np.arange(n))
 
 
 def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:
-    """Index sets that users made, with indices from 0 to bound - 1."""
+    """Index sets from users, with indices from 0 to bound - 1."""
     if not isinstance(sets, IndexSets):
         check.refuse(name, "It must be IndexSets, as a scheme has them.", check.describe(sets), TypeError)
     return IndexSets(*check.sets(sets.offsets, sets.indices, name, bound))
 
 
 def contained(sets: IndexSets, others: IndexSets) -> NDArray[np.bool_]:
-    """Whether each of the others' indices, in order, is in the set of the same number."""
+    """Whether each index of the others, in order, is in the set with the same number."""
     last = max(len(sets.indices) - 1, 0)
     first, count = (np.repeat(each, others.sizes) for each in (sets.offsets[:-1], sets.sizes))
     end = first + count
-    while count.any():  # bisection of all sets at once
+    while count.any():  # bisection in all sets at once
         half = count // 2
         below = (count > 0) & (sets.indices[np.minimum(first + half, last)] < others.indices)
         first, count = np.where(below, first + half + 1, first), np.where(below, count - half - 1, half)

@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from typing import TextIO
 
 _PATIENCE = 1.0
-"""Seconds of silence: work that is done by then needs no progress."""
+"""Seconds before progress is shown: short work needs none."""
 
 _TERMINAL_PERIOD = 0.1
 _LOG_PERIOD = 5.0
-"""Seconds from one report to the next: a terminal's line is redrawn, a log grows."""
+"""Seconds between lines in a log, which grows; a line on a terminal is redrawn."""
 
 _CELLS = 24
 
@@ -23,26 +23,11 @@ def bar(
     stream: TextIO | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Callable[[], None]]:
-    """Show how far work has come.
+    """Show the progress of work of `total` steps, called `label`; yields a function to call after each step.
 
-    Nothing is shown in the first second. After it a terminal shows one line that is redrawn and wiped at the
-    end; anything else, such as a log file, gets a line every five seconds.
-
-    Parameters
-    ----------
-    total : int
-        Number of steps.
-    label : str
-        What is being worked on.
-    stream : text file, optional
-        Where to write; standard error by default. Without one (`sys.stderr` may be None), nothing is shown.
-    clock : callable
-        Returns the time in seconds.
-
-    Yields
-    ------
-    callable
-        To be called, without arguments, when a step is done.
+    Nothing is shown in the first second. After that, a terminal shows one line that is redrawn, and wiped at the end.
+    Any other stream, such as a log file, gets a line every five seconds. The stream is standard error by default;
+    without one (`sys.stderr` may be None), nothing is shown. `clock` returns the time in seconds.
 
     Examples
     --------

@@ -1,7 +1,4 @@
-"""One model's local-exclusion score for a range of radii, and how far from the data its domain is.
-
-See `score_by_radius`.
-"""
+"""A model's local-exclusion score for several radii, and the distances from its domain to the nearest datum."""
 
 from __future__ import annotations
 
@@ -24,19 +21,19 @@ QUERIES = 1000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RadiusCurve:
-    """How the score of a model grows as predictions have to reach farther.
+    """Scores of a model by the radius within which data are held out.
 
     Parameters
     ----------
     percents : (k,) array
         Radii, in percent of the diagonal.
     scores : (k,) array
-        P with all data within the radius held out, in the responses' unit; NaN where undefined.
+        P of every radius, in the responses' unit; NaN where undefined.
     held : (k,) array
-        Mean number of data held out.
+        Mean number of held-out data.
     reach : (q,) array
-        Distances to the nearest datum from places all over the region that the data cover, increasing, in percent of
-        the diagonal.
+        Distances to the nearest datum from places all over the region of the data, increasing, in percent of the
+        diagonal.
 
     Examples
     --------
@@ -67,15 +64,15 @@ def score_by_radius(
     Parameters
     ----------
     model : LeastSquares
-        Of n data.
+        A model of n data.
     points : (n, 2) array
-        Where the data are.
+        Positions of the data.
     diagonal : float, optional
-        What radii are percentages of, in the unit of the points; that of their bounding box if not given.
+        Length of which radii are percentages, in the unit of the points; that of their bounding box by default.
     percents : sequence of float, optional
-        Radii in percent, increasing; 0 to 20 if not given.
+        Radii in percent, increasing; 0 to 20 by default.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Raises
     ------
@@ -108,10 +105,10 @@ def radius_curve(
     percents: Sequence[float] | None,
     threads: int | None,
 ) -> RadiusCurve:
-    """`score_by_radius` of data that are checked."""
+    """`score_by_radius` of checked data."""
     radii = _checked(PERCENTS if percents is None else percents)
     scores, held = np.empty(len(radii)), np.empty(len(radii))
-    for k, percent in enumerate(radii):  # one by one: the lists of all would be large
+    for k, percent in enumerate(radii):  # one by one: the lists for all radii at once would be large
         scheme = places.within(percent / 100 * diagonal, threads)
         scores[k] = cross_validate_all(model, {"": scheme}, threads)[""].score
         held[k] = scheme.held_out.sizes.mean()

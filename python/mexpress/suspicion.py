@@ -1,7 +1,4 @@
-"""Data that disagree with what their neighbourhoods predict: wrong matches, wrong depths.
-
-See `suspects`.
-"""
+"""Suspicious data: wrong matches and wrong depths, which disagree with the predictions from their neighbourhoods."""
 
 from __future__ import annotations
 
@@ -20,51 +17,43 @@ from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Scheme
 
 LEFT_OUT = 1e-8
-"""Weight of a datum that does not count: it is predicted like any other, and pulls nothing."""
+"""Weight of a datum that is predicted like any other, but does not influence the fit."""
 
 KEPT_AT_FIRST = 0.5
 
 ROUNDING = 1e-7
-"""The least sigma, as a part of the values' spread."""
+"""Smallest sigma, as a fraction of the spread of the values."""
 
 DOUBTFUL_SHARE = 0.4
 DOUBTFUL_SCALE = 0.08
-"""Of the values' spread. The result is doubtful when share / 0.4 + (sigma / spread) / 0.08 > 1: missed errors make
-sigma grow."""
+"""The result is doubtful if share / 0.4 + (sigma / spread) / 0.08 > 1: undetected wrong data increase sigma."""
 
 UNSETTLED_SHARE = 0.05
 
 
 class SuspicionWarning(UserWarning):
-    """Too much is suspicious, or too little is predicted, to trust what is suspected.
-
-    Examples
-    --------
-    >>> from mexpress.suspicion import SuspicionWarning
-    >>> issubclass(SuspicionWarning, UserWarning)
-    True
-    """
+    """Too many data are suspicious, or predictions are too bad, to trust the suspects."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suspects:
-    """How badly the neighbourhood of each datum predicts it, and who is suspected for it.
+    """Scores of all data against the predictions from their neighbourhoods, and the suspected data.
 
     Parameters
     ----------
     scores : (n,) array
-        Studentised prediction residuals: root mean squares of a datum's, in units of what noise would do; about 1 as a
-        rule. NaN where the others do not determine a prediction.
+        Studentised prediction residuals: the root mean square of each datum, in units of its standard deviation under
+        noise; usually about 1. NaN where the other data do not determine a prediction.
     threshold : float
         Scores above it are suspicious.
     sigma : float
-        Standard deviation of the noise of a row, robustly estimated, in the responses' unit.
+        Robust estimate of the standard deviation of the noise of a row, in the responses' unit.
     spread : float
-        Root mean square of the values about their mean, in the same unit.
+        Root mean square deviation of the values from their mean, in the same unit.
     rounds : int
-        How many models were built.
+        Number of models in the search.
     settled : bool
-        Whether the last round suspected the same data as the one before, but for a few that come and go.
+        Whether the last two rounds suspected the same data, up to a few.
 
     Examples
     --------
@@ -75,6 +64,8 @@ class Suspects:
     Suspects(2 of 7 data above 5, sigma=0.7)
     >>> found.indices
     array([3, 1])
+    >>> found.weights.round(2)
+    array([0.99, 0.  , 0.89, 0.  , 0.94, 0.98, 0.95])
     """
 
     scores: Floats
@@ -91,26 +82,18 @@ class Suspects:
 
     @property
     def indices(self) -> Integers:
-        """The suspected data, the worst first, (k,)."""
+        """Indices of the suspected data, (k,), the worst first."""
         order = np.argsort(-self.scores, kind="stable")
         return np.asarray(order[self.scores[order] > self.threshold])
 
     @property
     def share(self) -> float:
-        """Which part of the data is suspected, from 0 to 1.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from mexpress.suspicion import Suspects
-        >>> Suspects(np.array([0.4, 9.0, 1.2, 0.7]), 5.0, 0.7, 90.0, 4, True).share
-        0.25
-        """
+        """Share of suspected data, from 0 to 1."""
         return len(self.indices) / len(self.scores)
 
     @property
     def doubt(self) -> str:
-        """Why the result is not to be trusted; empty if nothing speaks against it.
+        """Reasons to doubt the result; empty if there are none.
 
         Examples
         --------
@@ -132,21 +115,14 @@ class Suspects:
 
     @property
     def doubtful(self) -> bool:
-        """Whether there is a `doubt`."""
+        """Whether `doubt` gives a reason."""
         return bool(self.doubt)
 
     @property
     def weights(self) -> Floats:
-        """Weights for a refit, (n,): Tukey's bisquare of the scores, 1 at 0, next to nothing from the threshold on.
+        """Weights for a refit, (n,): Tukey's bisquare of the scores, 1 at 0 and almost 0 from the threshold on.
 
-        Data without a score weigh 1.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from mexpress.suspicion import Suspects
-        >>> Suspects(np.array([0.0, 1.0, 9.0]), 5.0, 0.7, 90.0, 4, True).weights.round(3)
-        array([1.   , 0.922, 0.   ])
+        Data without a score have weight 1.
         """
         part = np.minimum(np.nan_to_num(self.scores) / self.threshold, 1.0)
         return np.asarray(np.maximum((1 - part**2) ** 2, LEFT_OUT))
@@ -155,26 +131,26 @@ class Suspects:
 def studentised_squares(
     model: LeastSquares, scheme: Scheme, weights: Floats, threads: int | None = None
 ) -> tuple[Floats, Integers]:
-    """How far each datum is from its prediction, in the metric of the noise that a prediction has.
+    """Squared prediction residuals of every datum, relative to their covariance under noise of variance one.
 
     Parameters
     ----------
     model : LeastSquares
-        Fitted with these weights.
+        A fit with these weights.
     scheme : Scheme
         Validates every datum once, alone.
     weights : (n,) array
-        1 for data that count and next to nothing for those that do not; both are scored as data of weight one.
+        1 for data in the fit, and almost 0 for other data; both are scored as data of weight one.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Returns
     -------
     squares : (n,) array
-        ``e^T C^-1 e`` with ``C = I + Q_T M^-1 Q_T^T``, summed over the responses; NaN where undefined. Divided by
-        the variance of the noise it is a chi square.
+        ``e^T C^-1 e`` with ``C = I + Q_T M^-1 Q_T^T``, summed over the responses; NaN where undefined. Divided
+        by the variance of the noise, it has a chi-square distribution.
     freedom : (n,) int array
-        Of how many degrees of freedom: rows times responses of the datum.
+        Its degrees of freedom: rows times responses of the datum.
 
     Examples
     --------
@@ -192,7 +168,7 @@ def studentised_squares(
     for pair, spread in enumerate(model.prediction_spread(scheme, threads)):
         datum, e = scheme.validated.indices[pair], residuals[starts[pair] : starts[pair + 1]]
         one = np.eye(len(e))
-        # The model's spread is that of weighted residuals.
+        # prediction_spread is the covariance of weighted residuals.
         squares[datum] = (e * np.linalg.solve(one + (spread - one) / weights[datum], e)).sum()
         freedom[datum] = e.size
     return squares, freedom
@@ -211,42 +187,41 @@ def suspects(
     Parameters
     ----------
     build : callable
-        Gets weights of the data, (n,), 1 for those that count and next to nothing for the others, and returns a
-        `LeastSquares` of all data with these weights. Wrong data disturb the choice of a model as much as its fit,
-        so it should choose the model anew each time, by a criterion that takes the weights.
+        Returns a `LeastSquares` of all data with given weights, (n,): 1 for data in the fit, almost 0 for other data.
+        Wrong data disturb the selection of a model as much as its fit, so `build` should select the model anew each
+        time, by a criterion with these weights.
     scheme : Scheme
-        Validates every datum once, alone: `schemes.exclusion_radius`, `schemes.nearest`, or
-        `schemes.leave_one_out` where wrong data do not come in clusters.
+        Validates every datum once, alone: `schemes.exclusion_radius`, `schemes.nearest`, or, if wrong data do not form
+        clusters, `schemes.leave_one_out`.
     values : (n,) or (n, d) array
-        What was measured, in the unit of the responses: target points, depths. Their spread is what a prediction must
-        beat.
+        Measurements in the unit of the responses: target points, depths. Predictions must be better than their spread.
     threshold : float, default 5
-        Scores above it are suspicious. Gaussian noise exceeds 3 in 0.3 % of the data of one row and one response and
-        in 0.01 % of those of two; real data have model error besides.
+        Scores above it are suspicious. Gaussian noise exceeds 3 in 0.3 % of data with one row and one response, and in
+        0.01 % of data with two; real data also have model error.
     max_rounds : int, default 20
-        Most models that are built once the first guess stands.
+        Largest number of models in each of the two stages below.
     threads : int, optional
-        At most so many threads.
+        Largest number of threads.
 
     Returns
     -------
     Suspects
-        With a `SuspicionWarning` if so many are suspicious, or predictions are so bad, that it means nothing.
+        The scores and the suspected data. A `SuspicionWarning` is issued if they are doubtful.
 
     Raises
     ------
     ValueError, TypeError
-        If the scheme does not validate every datum once and alone, or a model is not of its data.
+        If the scheme does not validate every datum once and alone, or a model has other data than the scheme.
 
     Notes
     -----
-    The score of datum i is ``t_i^2 = e_(i)^T C_i^-1 e_(i) / (g r sigma^2)``, with e_(i) its prediction residual, r
-    responses of g rows, and ``C_i = ((I - H_KK)^-1)_TT``, which tells how far noise alone drives e_(i). sigma comes
-    from the median over all data, which half of them being wrong would break.
+    The score of datum i is ``t_i^2 = e_(i)^T C_i^-1 e_(i) / (g r sigma^2)``, with its prediction residual e_(i), r
+    responses of g rows, and ``C_i = ((I - H_KK)^-1)_TT``, the covariance of e_(i) under unit noise. sigma comes from
+    the median over all data, which fails if half of the data are wrong.
 
-    Wrong data mask each other. So the rounds begin with the half that is predicted best, fit that alone and
-    score all again, until the half is stable (the concentration steps of least trimmed squares); then all below
-    the threshold are let in, and all are scored again, until the suspects are stable.
+    Wrong data mask each other, so there are two stages. The first fits the half of the data with the best scores and
+    scores all data again, until the half is stable (the concentration steps of least trimmed squares). The second fits
+    all data with scores below the threshold and scores all data again, until the suspects are stable.
 
     References
     ----------
@@ -276,7 +251,7 @@ def suspects(
         nonlocal sigma, rounds
         rounds += 1
         squares, freedom = studentised_squares(_model(build, weights), scheme, weights, threads)
-        # Data that fit to rounding are no suspects, nor are those that others pull in spite of their weight.
+        # Residuals from rounding, or from the influence of data with weight LEFT_OUT, must not be suspicious.
         sigma = max(_robust_scale(squares, freedom), ROUNDING * spread)
         return np.asarray(np.sqrt(squares / freedom) / (sigma or 1.0))
 
@@ -292,7 +267,7 @@ def suspects(
 def _settle(
     score: Callable[[Floats], Floats], weights: Floats, keep: Callable[[Floats], Any], most: int
 ) -> tuple[Floats, bool]:
-    """Score and keep by turns until what is kept comes back: the last scores, and whether hardly a datum changed."""
+    """Score and keep in turn until the kept data repeat: the last scores, and whether almost no datum changed."""
     seen: set[bytes] = set()
     while len(seen) < most:
         seen.add(weights.tobytes())
@@ -310,14 +285,14 @@ def _as_weights(kept: Any) -> Floats:
 
 
 def _best(scores: Floats, count: int) -> Any:
-    """Which have the smallest scores, equal ones by index."""
+    """Mask of the smallest scores; equal scores are ordered by index."""
     kept = np.zeros(len(scores), dtype=np.bool_)
     kept[np.argsort(scores, kind="stable")[:count]] = True
     return kept
 
 
 def _robust_scale(squares: Floats, freedom: Integers) -> float:
-    """Sigma, from the median of the squares over the medians of their chi squares (Wilson and Hilferty's)."""
+    """Sigma from the median of the squares over the medians of their chi squares (Wilson and Hilferty)."""
     known = np.isfinite(squares)
     if not known.any():
         rule = "Its models must be determined by all data but those around one."
@@ -333,7 +308,7 @@ def _model(build: Callable[[Floats], LeastSquares], weights: Floats) -> LeastSqu
 
 
 def _each_once(scheme: Any) -> Scheme:
-    """A scheme that validates every datum once, alone."""
+    """Check that a scheme validates every datum once, alone."""
     rule = "It must validate every datum once, alone, as schemes.exclusion_radius does."
     if not isinstance(scheme, Scheme):
         check.refuse("scheme", rule, check.describe(scheme), TypeError)

@@ -1,4 +1,4 @@
-"""What a report of a problem should say about the machine."""
+"""Versions for a problem report."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from mexpress import _validation as check
 
 
 def show_versions() -> None:
-    """Print the versions of mexpress and of what it stands on: please paste them into a report of a problem.
+    """Print the versions of mexpress and of its dependencies: please paste them into a problem report.
 
-    `threads` is the number that calls use unless told otherwise. The processor's features are those that numpy sees;
-    the order of sums depends on them, and with it the last digits. The libraries below BLAS are those of the extras;
-    they are looked up, not imported.
+    `threads` is the default number of threads of a call. The processor's features are those that numpy detects; they
+    determine the order of sums, and so the last digits. The libraries below BLAS belong to the extras; they are not
+    imported.
 
     Raises
     ------
     ValueError
-        If the environment variable MEXPRESS_NUM_THREADS is no number of threads.
+        If the environment variable MEXPRESS_NUM_THREADS is not a number of threads.
 
     Examples
     --------
@@ -43,11 +43,11 @@ def show_versions() -> None:
 
 
 def _machine() -> dict[str, str]:
-    """Everything but the optional libraries."""
+    """Everything except the optional libraries."""
     config = np.show_config(mode="dicts")
     blas = config["Build Dependencies"]["blas"]
     simd = config["SIMD Extensions"]
-    features = [*simd.get("baseline", []), *simd.get("found", [])]  # numpy leaves out what is empty
+    features = [*simd.get("baseline", []), *simd.get("found", [])]  # numpy omits empty lists
     return {
         "mexpress": version("mexpress"),
         "Python": f"{platform.python_version()}, {platform.python_implementation()}",
@@ -60,7 +60,7 @@ def _machine() -> dict[str, str]:
 
 
 def _optional() -> list[str]:
-    """Libraries that an extra asks for, in the order of pyproject.toml."""
+    """Libraries of the extras, in the order of pyproject.toml."""
     named = (re.match(r"[\w.-]+", entry) for entry in requires("mexpress") or () if "extra ==" in entry)
     return [name[0] for name in named if name]
 
