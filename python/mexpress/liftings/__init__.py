@@ -1,7 +1,7 @@
 """Liftings: the functions whose linear combinations bend the plane.
 
-A lifting nu maps a point q to l numbers; a scalar function is f(q) = nu(q) . x. Another lifting is one more
-subclass of `Lifting`, which `register` makes known by its name.
+A lifting nu maps a point q to l numbers; a scalar function is f(q) = nu(q) . x. A new lifting is a subclass of
+`Lifting` that `register` adds by its name.
 
 Examples
 --------

@@ -1,4 +1,4 @@
-"""Piecewise affine functions over triangles: no smoothness, and nothing but the nearest control points."""
+"""Piecewise affine functions over triangles: local, but not smooth."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -20,19 +20,18 @@ from mexpress.liftings.triangulation import Indices, Triangulation
 class PiecewiseAffine(SparseLifting):
     """Hat functions: affine in every triangle of the Delaunay triangulation of the control points.
 
-    Function k is 1 at control point k and 0 at the others, so parameters are values at the control points. At
-    a point the three functions of its triangle differ from zero; they are positive and sum to one. Slopes
-    jump at the edges of triangles: a point on one has those of either side.
+    Function k is 1 at control point k and 0 at the others, so parameters are values at the control points. At a point,
+    only the three functions of its triangle are nonzero; they are positive and sum to one. Slopes jump at the edges of
+    triangles: a point on an edge has the slopes of one of the two sides.
 
-    Outside of the triangles f(q) = f(h) + g(h) . (q - h), with h the point of the hull nearest to q. The slope
-    g(h) at a corner of the hull, or a control point on it, is the mean of the slopes in the triangles of both
-    edges of the hull that meet there, and in between it is interpolated: so f is continuous everywhere, and
-    affine functions go on as they are.
+    Outside the triangles f(q) = f(h) + g(h) . (q - h), where h is the point of the hull nearest to q. At a control
+    point on the hull, the slope g is the mean over the triangles of the two adjacent hull edges; between control points
+    it is interpolated. So f is continuous everywhere, and affine functions remain affine.
 
     Parameters
     ----------
     control_points : array_like, (l, 2)
-        Positions, as for every `Lifting`.
+        Positions, see `Lifting`.
 
     Examples
     --------
@@ -48,14 +47,14 @@ class PiecewiseAffine(SparseLifting):
     name: ClassVar[str] = "affine"
 
     def bending(self) -> Floats:
-        """Return one row an inner edge, whose squared norm is a discrete bending energy.
+        """Return one row per inner edge; the squared norm of the rows is a discrete bending energy.
 
-        f has no second derivatives. The jump of slope at an edge, over the distance of the centroids of its two
-        triangles, stands for the one across the edge, and holds for a third of their area; its square is
-        divided by 8 pi. For a quadratic function on fine regular triangles this is 0.5 (a bowl) to 1 times (a
-        saddle) the integral of f_xx^2 + 2 f_xy^2 + f_yy^2, over 8 pi, and on a grid with diagonals 0.75 to 2.25
-        times: a weight means about the same stiffness as for the smooth liftings, not exactly. Long thin
-        triangles, which scattered points have at the hull, have steep slopes and count much more.
+        f has no second derivatives. The second derivative across an edge is replaced by the jump of the slope over the
+        distance of the centroids of its two triangles; its square over 8 pi is integrated over a third of their area.
+        For a quadratic function on fine regular triangles, the result is 0.5 times (bowl) to 1 times (saddle) the
+        integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over 8 pi, and on a grid with diagonals 0.75 to 2.25 times. A weight thus
+        gives about the same stiffness as for the smooth liftings. Long thin triangles, as scattered points have them at
+        the hull, have steep slopes and contribute much more.
 
         Returns
         -------
@@ -81,7 +80,7 @@ class PiecewiseAffine(SparseLifting):
 
     @classmethod
     def counts(cls, region: Floats, largest: int) -> list[int]:
-        """Return 3 and the numbers of control points of the grids that `place` knows, increasing.
+        """Return 3 and the numbers of control points of the grids of `place`, increasing.
 
         Examples
         --------
@@ -94,9 +93,9 @@ class PiecewiseAffine(SparseLifting):
     def place(
         cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
     ) -> Floats:
-        """Return the grid nearest to a count that fills the bounding box of the points, (l, 2).
+        """Return the grid over the bounding box of the points with the number nearest to a count, (l, 2).
 
-        Of three control points the triangle contains the box. So all points are inside; nothing is random.
+        The triangle of three control points contains the box, so all points are inside. Nothing is random.
 
         Examples
         --------
@@ -109,14 +108,7 @@ class PiecewiseAffine(SparseLifting):
         return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
 
     def entries(self, points: Floats, along: int | None = None) -> Entries:
-        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1).
-
-        Examples
-        --------
-        >>> plane = PiecewiseAffine([[0, 0], [2, 0], [0, 2]])
-        >>> sum(float(elements[0]) for _, _, elements in plane.entries(np.array([[1.0, 0.5]]))).__round__(6)
-        1.0
-        """
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
         mesh = self._mesh
         triangle = mesh.locate(points)
         inside, outside = np.flatnonzero(triangle >= 0), np.flatnonzero(triangle < 0)
@@ -132,16 +124,16 @@ class PiecewiseAffine(SparseLifting):
             yield from ((outside, *rest) for rest in self._outer_entries(points[outside], along))
 
     def _outer_entries(self, points: Floats, along: int | None) -> Iterator[tuple[Indices, Floats]]:
-        """Return functions and elements at points outside of the hull.
+        """Return functions and elements at points outside the hull.
 
-        f(q) = sum_v w_v (f_v + g_v . d), with v the ends of the hull's edge nearest to q, w_v their shares in
+        f(q) = sum_v w_v (f_v + g_v . d), where v are the ends of the hull edge nearest to q, w_v are their shares in
         the nearest point h, and d = q - h.
         """
         mesh, (triangle, side) = self._mesh, self._mesh.hull
         start, edges = self.control_points[mesh.corners[triangle, side]], mesh.sides[triangle, side]
         nearest, share, offset = _nearest(points, start, edges)
         edge = edges[nearest]
-        shift = np.zeros_like(points)  # the derivative of d, and with it that of the share
+        shift = np.zeros_like(points)  # the derivative of d, with that of the share
         gain = np.zeros(len(points))
         if along is not None:
             between = (share > 0) & (share < 1)
@@ -165,7 +157,7 @@ class PiecewiseAffine(SparseLifting):
 
     @cached_property
     def _hull_triangles(self) -> Indices:
-        """Return the triangles of both edges of the hull that meet at a control point, (l, 2); any elsewhere."""
+        """Return the triangles of both hull edges at a control point on the hull, (l, 2); arbitrary ones elsewhere."""
         triangle, side = self._mesh.hull
         triangles = np.zeros((len(self.control_points), 2), dtype=np.intp)
         for end in range(2):
@@ -174,7 +166,7 @@ class PiecewiseAffine(SparseLifting):
 
 
 def _nearest(points: Floats, start: Floats, edges: Floats) -> tuple[Indices, Floats, Floats]:
-    """Return the nearest edge to each point, its end's share in the nearest place, and the way from there."""
+    """Return the nearest edge to each point, the share of its end in the nearest place, and the offset from there."""
     nearest, share = np.zeros(len(points), dtype=np.intp), np.zeros(len(points))
     offset, distance = np.zeros_like(points), np.full(len(points), np.inf)
     for number, (corner, edge) in enumerate(zip(start, edges, strict=True)):

@@ -1,4 +1,4 @@
-"""Bicubic B-splines: smooth, and local."""
+"""Bicubic B-splines: smooth and local."""
 
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -14,14 +14,14 @@ from mexpress.liftings.lifting import register
 from mexpress.liftings.sparse import Entries, SparseLifting
 
 _SLACK = 1e-4
-"""Control points may be off the grid by this fraction of its step."""
+"""Largest distance of a control point from the grid, as a fraction of the step."""
 
 _CUBIC = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
-"""Row a: coefficients of 1, u, u^2, u^3 in the a-th of the four functions that a cell meets, u in [0, 1]."""
+"""Row a: coefficients of 1, u, u^2, u^3 in the a-th of the four functions of a cell, u in [0, 1]."""
 
 
 class _Axis(NamedTuple):
-    """Lines of the grid across one axis; the first and the last one are outside of the span."""
+    """Grid lines across one axis; the first and the last are outside the span."""
 
     low: float
     step: float
@@ -30,24 +30,22 @@ class _Axis(NamedTuple):
 
 @register
 class BSpline(SparseLifting):
-    """Uniform bicubic B-splines, control point (i, j) of a regular grid being the centre of its function.
+    """Uniform bicubic B-splines, each centred at a control point of a regular grid.
 
-    At every point 16 functions differ from zero; they are positive and sum to one. Twice continuously
-    differentiable. An affine function a has the parameters a(c_k), but in general a parameter is not the
-    value at its control point. The span ends one line of the grid before the outermost one; outside of it
-    the functions go on along each axis with the value and the slope that they have at its edge. A warp is a
-    BBS warp, and with a denominator a NURBS warp whose weights are fitted.
+    At every point 16 functions are nonzero; they are positive, sum to one, and are twice continuously differentiable.
+    An affine function a has the parameters a(c_k), but in general a parameter is not the value at its control point.
+    The span ends one grid line before the outermost line. Outside the span, the functions continue along each axis with
+    the value and the slope at its edge. A warp is a BBS warp, or with a denominator a NURBS warp with fitted weights.
 
     Parameters
     ----------
     control_points : array_like, (l, 2)
-        A grid of 4 x 4 points or more, in any order; its step along x and that along y may differ. `place`
-        makes one.
+        A grid of at least 4 x 4 points, in any order, as `place` returns it. The steps along x and y may differ.
 
     Raises
     ------
     ValueError
-        If the control points are no such grid, to within 1e-4 of its steps.
+        If the control points are not such a grid, to within 1e-4 of its steps.
 
     Examples
     --------
@@ -64,25 +62,19 @@ class BSpline(SparseLifting):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self._grid  # which finds out whether there is one
+        _ = self._grid  # raises if there is no grid
 
     @cached_property
     def span(self) -> Floats:
-        """Corners of the rectangle outside of which the lifting extrapolates, (4, 2), counter-clockwise.
-
-        Examples
-        --------
-        >>> BSpline(BSpline.place([[0, 0], [30, 0], [30, 20], [0, 20]], 16)).span
-        array([[ 0.,  0.], [30.,  0.], [30., 20.], [ 0., 20.]])
-        """
+        """Corners of the rectangle outside which the lifting extrapolates, (4, 2), counter-clockwise."""
         x, y = ((axis.low + axis.step, axis.low + (axis.number - 2) * axis.step) for axis in self._grid[:2])
         return np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
 
     def bending(self) -> Floats:
-        """Return the rows Z whose squared norm is the bending energy, (l - 3, l).
+        """Return the rows Z of the bending energy ||Z x||^2, (l - 3, l).
 
-        8 pi times ||Z x||^2 is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the span. Of a thin-plate
-        spline it is over the plane, and divided by the same 8 pi: a weight means the same stiffness.
+        8 pi ||Z x||^2 is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the span. For a thin-plate spline the integral
+        is over the plane, so a weight gives the same stiffness.
 
         Examples
         --------
@@ -98,7 +90,7 @@ class BSpline(SparseLifting):
         )
         i, j = np.tile(np.arange(x.number), y.number), np.repeat(np.arange(y.number), x.number)
         affine = np.column_stack([np.ones(len(i)), i - i.mean(), j - j.mean()])
-        # What is beside the affine functions, so that rounding does not bend these.
+        # The complement of the affine functions, so that rounding does not bend them.
         side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
         bending = np.empty((len(i) - 3, len(i)))
         bending[:, order.ravel()] = np.linalg.qr(rows @ side).R @ side.T / np.sqrt(8 * np.pi)
@@ -106,7 +98,7 @@ class BSpline(SparseLifting):
 
     @classmethod
     def counts(cls, region: Floats, largest: int) -> list[int]:
-        """Return the numbers of control points of the grids that `place` knows, increasing.
+        """Return the numbers of control points of the grids of `place`, increasing.
 
         Examples
         --------
@@ -119,9 +111,9 @@ class BSpline(SparseLifting):
     def place(
         cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
     ) -> Floats:
-        """Return the grid nearest to a count whose span is the bounding box of the points, (l, 2).
+        """Return the grid whose span is the bounding box of the points, with the number nearest to a count, (l, 2).
 
-        Nothing is random. The cells are as square as possible.
+        The cells are as square as possible. Nothing is random.
 
         Examples
         --------
@@ -131,14 +123,7 @@ class BSpline(SparseLifting):
         return grid(points, count, ring=1)
 
     def entries(self, points: Floats, along: int | None = None) -> Entries:
-        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1).
-
-        Examples
-        --------
-        >>> spline = BSpline(BSpline.place([[0, 0], [3, 0], [3, 2], [0, 2]], 16))
-        >>> sum(float(elements[0]) for _, _, elements in spline.entries(np.array([[1.0, 0.5]]))).__round__(6)
-        1.0
-        """
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
         *axes, order = self._grid
         (column, across), (row, up) = (
             _nonzero(axis, points[:, b], b == along) for b, axis in enumerate(axes)
@@ -160,7 +145,7 @@ class BSpline(SparseLifting):
 
 
 def _lines(coordinates: Floats) -> tuple[_Axis, NDArray[np.intp]]:
-    """Return the lines on which coordinates lie, and which is whose."""
+    """Return the grid lines of coordinates, and the line of each."""
     ordered = np.sort(coordinates)
     gaps = np.diff(ordered)
     count = 1 + int((gaps > gaps.max() / 2).sum())
@@ -175,7 +160,7 @@ def _lines(coordinates: Floats) -> tuple[_Axis, NDArray[np.intp]]:
 
 
 def _nonzero(axis: _Axis, coordinates: Floats, derivative: bool) -> tuple[NDArray[np.intp], Floats]:
-    """Return the first of the four functions that are not zero, (n,), and the four of them, (4, n)."""
+    """Return the index of the first of the four nonzero functions, (n,), and the four functions, (4, n)."""
     cells = axis.number - 3
     place = (coordinates - axis.low) / axis.step - 1
     inside = np.clip(place, 0, cells)
@@ -187,16 +172,16 @@ def _nonzero(axis: _Axis, coordinates: Floats, derivative: bool) -> tuple[NDArra
 
 
 def _functions(u: Floats, order: int) -> Floats:
-    """Return the four functions of a cell, or their first or second derivative by u, (4, n)."""
+    """Return the four functions of a cell, or their first or second derivatives by u, (4, n)."""
     zero = np.zeros_like(u)
     powers = ([zero + 1, u, u**2, u**3], [zero, zero + 1, 2 * u, 3 * u**2], [zero, zero, zero + 2, 6 * u])
     return np.asarray(_CUBIC @ np.stack(powers[order]))
 
 
 def _factors(axis: _Axis) -> list[Floats]:
-    """Return R_k, (count, count), with ||R_k x||^2 the integral of the squared k-th derivative, k = 0, 1, 2."""
+    """Return R_k, (count, count), for k = 0, 1, 2: ||R_k x||^2 is the integral of the squared k-th derivative."""
     cells = axis.number - 3
-    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact up to the degree 7
+    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact up to degree 7
     factors = []
     for k in range(3):
         rows = np.zeros((cells, 4, axis.number))

@@ -1,6 +1,6 @@
-"""Regular grids of control points over the bounding box of the data, their cells as square as possible.
+"""Regular grids of control points over the bounding box of the data, with cells as square as possible.
 
-The first grid has one cell; each next one has one line more, across the longer side of the cells.
+The first grid has one cell; each next grid has one more line, across the longer side of the cells.
 """
 
 from collections.abc import Iterator
@@ -14,16 +14,9 @@ from mexpress.geometry import Region
 
 
 def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
-    """Return how many control points the grids over a region have, up to a largest number.
+    """Return the numbers of control points of the grids over a region's bounding box, up to a largest number.
 
-    Parameters
-    ----------
-    region : ndarray, (k, 2)
-        Points whose bounding box counts.
-    largest : int
-        None is above it, but for the first.
-    ring : int
-        How many lines of every grid are outside of the box on each side.
+    The first number is present even if it is larger. Every grid has `ring` lines outside the box on each side.
 
     Examples
     --------
@@ -39,21 +32,10 @@ def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
 
 
 def grid(points: ArrayLike | Region, count: int, ring: int = 0) -> Floats:
-    """Return the control points of the grid whose number is nearest to a count, row after row.
+    """Return the control points, (l, 2), of the grid whose number is nearest to a count, row after row.
 
-    Parameters
-    ----------
-    points : array_like, (n, 2), or Region
-        Data positions, whose bounding box the grid fills; or the region that they cover.
-    count : int
-        Wished number, 3 or more; the smaller of two grids that are as near.
-    ring : int
-        How many lines of the grid are outside of the box on each side.
-
-    Returns
-    -------
-    ndarray, (l, 2)
-        Control points, in the unit of the points.
+    The grid fills the bounding box of the points, with `ring` more lines outside it on each side. The count is 3 or
+    more; of two grids equally near to it, the smaller is returned.
 
     Examples
     --------
@@ -72,7 +54,7 @@ def grid(points: ArrayLike | Region, count: int, ring: int = 0) -> Floats:
 
 
 def _sizes(region: Floats, ring: int) -> Iterator[tuple[int, int]]:
-    """Number of columns and rows of one grid after the other."""
+    """Numbers of columns and rows of one grid after another."""
     cells, extent = np.ones(2, dtype=np.int64), np.ptp(region, axis=0)
     while True:
         columns, rows = (cells + 1 + 2 * ring).tolist()

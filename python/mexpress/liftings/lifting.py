@@ -1,4 +1,4 @@
-"""The interface of liftings, and the list of those that have a name."""
+"""The interface of liftings, and the registry of their names."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -16,16 +16,16 @@ from mexpress.geometry import NEAR_LINE, Region, covered_region, thinness
 from mexpress.placement import COINCIDENT, lloyd
 
 _CHUNK = 1 << 14
-"""Numbers in one block of a temporary array, 128 KiB: blocks that stay in cache are also the fastest."""
+"""Numbers in one block of a temporary array, 128 KiB: blocks that stay in cache are fastest."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lifting(ABC):
-    """Functions of the plane, one a control point: nu maps a point q to l numbers, and f(q) = nu(q) . x.
+    """Functions of the plane, one per control point: nu maps a point q to l numbers, and f(q) = nu(q) . x.
 
-    They sum to one everywhere, so that equal parameters are a constant function, and affine functions are among f.
-    A subclass gives `name`, `basis`, `derivatives` and `bending`; whatever else is here may be overridden
-    where there is a better or a faster answer. `register` makes it known by its name.
+    The functions sum to one everywhere, so equal parameters give a constant function; f can be any affine function. A
+    subclass defines `name`, `basis`, `derivatives` and `bending`, and may override the rest with better or faster
+    methods. `register` adds it by its name.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ class Lifting(ABC):
     Attributes
     ----------
     name : str
-        What `fit_warp`, `select_warp` and files call the class.
+        Name of the class for `fit_warp`, `select_warp` and files.
 
     Raises
     ------
     ValueError
-        If there are fewer than three control points, if two coincide (they are nearer than 1e-5 of the
-        largest distance to the mean), or if all are on a line (their spread across it is below 1e-6 of that
-        along it). Both rules compare distances, so no unit matters.
+        If there are fewer than three control points, if two coincide (are nearer than 1e-5 of the largest distance to
+        the mean), or if all are on a line (their spread across it is below 1e-6 of the spread along it). Both rules
+        compare distances, so the unit has no effect.
 
     Examples
     --------
@@ -61,7 +61,7 @@ class Lifting(ABC):
         object.__setattr__(self, "control_points", points)
 
     def __reduce__(self) -> tuple[type[Self], tuple[Floats]]:
-        # Without what is cached, and read-only again once unpickled.
+        # Caches are not pickled, and unpickled arrays are read-only again.
         return type(self), (self.control_points,)
 
     def __repr__(self) -> str:
@@ -88,15 +88,7 @@ class Lifting(ABC):
         """
 
     def at(self, points: Floats) -> Floats:
-        """Return the basis at points that are checked already, (n, l).
-
-        A class whose `basis` checks its points overrides it.
-
-        Examples
-        --------
-        >>> make_lifting("tps", [[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]])).round(6) + 0.0
-        array([[0. , 0.5, 0.5]])
-        """
+        """Return the basis at checked points, (n, l); a class whose `basis` checks its points overrides this."""
         return self.basis(points)
 
     @abstractmethod
@@ -111,8 +103,7 @@ class Lifting(ABC):
         Returns
         -------
         ndarray, (n, l, 2)
-            Element [i, k, b] is the derivative of function k along coordinate b at point i, per unit of the
-            points.
+            Element [i, k, b] is the derivative of function k along coordinate b at point i, per unit of the points.
 
         Examples
         --------
@@ -124,16 +115,15 @@ class Lifting(ABC):
 
     @abstractmethod
     def bending(self) -> Floats:
-        """Return the rows Z whose squared norm ||Z x||^2 is the bending energy of f = nu . x.
+        """Return the rows Z of the bending energy ||Z x||^2 of f = nu . x.
 
-        8 pi times this is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2, or stands for it, so that a weight of
-        smoothing means about the same stiffness for every lifting. It is in (unit of f)^2 per (unit of the
-        points)^2.
+        8 pi ||Z x||^2 is, or approximates, the integral of f_xx^2 + 2 f_xy^2 + f_yy^2, so a weight gives about the same
+        stiffness for every lifting. The energy is in (unit of f)^2 per (unit of the points)^2.
 
         Returns
         -------
         ndarray, (k, l)
-            With any k; Z x is zero if and only if f is affine.
+            Any number k of rows; Z x is zero if and only if f is affine.
 
         Examples
         --------
@@ -143,7 +133,7 @@ class Lifting(ABC):
 
     @cached_property
     def span(self) -> Floats:
-        """Corners of the convex region beyond which the lifting extrapolates, (c, 2), counter-clockwise.
+        """Corners of the convex region outside which the lifting extrapolates, (c, 2), counter-clockwise.
 
         Examples
         --------
@@ -158,9 +148,9 @@ class Lifting(ABC):
         Parameters
         ----------
         points : ndarray, (n, 2)
-            Positions; a million of them need no (n, l) array.
+            Positions. No (n, l) array is made, so there may be millions.
         parameters : ndarray, (l, r)
-            One column a function.
+            One column per function.
 
         Returns
         -------
@@ -184,9 +174,9 @@ class Lifting(ABC):
         Parameters
         ----------
         points : ndarray, (n, 2)
-            Positions; a million of them need no (n, l, 2) array.
+            Positions. No (n, l, 2) array is made, so there may be millions.
         parameters : ndarray, (l, r)
-            One column a function.
+            One column per function.
 
         Returns
         -------
@@ -206,14 +196,14 @@ class Lifting(ABC):
 
     @classmethod
     def counts(cls, region: Floats, largest: int) -> list[int]:
-        """Return the numbers of control points that there are over a region, increasing.
+        """Return the possible numbers of control points over a region, increasing.
 
         Parameters
         ----------
         region : ndarray, (k, 2)
             Corners of the convex hull of the data.
         largest : int
-            None is above it, but for the first.
+            Limit of the numbers; the first number may exceed it.
 
         Examples
         --------
@@ -231,18 +221,18 @@ class Lifting(ABC):
         Parameters
         ----------
         points : array_like, (n, 2), or Region
-            Data positions, or the region that they cover.
+            Positions of the data, or the region that they cover.
         count : int
-            Wished number of control points: exact if it is one of `counts`.
+            Desired number of control points; exact if it is one of `counts`.
         seed : int
-            Of what is random.
+            Seed of random choices.
         threads : int, optional
-            Upper bound on threads; the result does not depend on it.
+            Largest number of threads; the result does not depend on it.
 
         Returns
         -------
         ndarray, (l, 2)
-            As `mexpress.placement.lloyd` spreads them, unless the class has its own way.
+            Control points; the default method is `mexpress.placement.lloyd`.
 
         Examples
         --------
@@ -254,21 +244,20 @@ class Lifting(ABC):
 
 
 LIFTINGS: dict[str, type[Lifting]] = {}
-"""Every lifting by the name that `fit_warp` and files use; `register` enters them."""
+"""Liftings by name; `register` adds them."""
 
 Class = TypeVar("Class", bound=type[Lifting])
 
 
 def register(lifting: Class) -> Class:
-    """Enter a lifting in `LIFTINGS`; used as its decorator.
+    """Add a lifting to `LIFTINGS`; used as a class decorator.
 
-    From then on every function that takes the name of a lifting knows it, and models that use it load from
-    their files.
+    After that, every function that takes the name of a lifting accepts it, and models with it load from files.
 
     Raises
     ------
     TypeError
-        If it is no subclass of `Lifting` with a name.
+        If it is not a subclass of `Lifting` with a name.
     ValueError
         If another class has this name.
 
@@ -285,7 +274,7 @@ def register(lifting: Class) -> Class:
     if not isinstance(name, str) or not name:
         check.refuse("lifting", rule, f"{lifting.__name__} with the name {name!r}", TypeError)
     known = LIFTINGS.get(name, lifting)
-    # The same class again is a module that is reloaded, or a cell of a notebook that is run twice.
+    # The same class comes again from a reloaded module, or a notebook cell that is run twice.
     if (known.__module__, known.__qualname__) != (lifting.__module__, lifting.__qualname__):
         check.refuse("name", "No other lifting must have it.", f"{name!r}, the name of {known.__qualname__}")
     LIFTINGS[name] = lifting
@@ -298,7 +287,7 @@ def lifting_named(name: str) -> type[Lifting]:
     Raises
     ------
     ValueError
-        If there is none.
+        If no lifting has this name.
 
     Examples
     --------
@@ -317,7 +306,7 @@ def make_lifting(name: str, control_points: ArrayLike) -> Lifting:
     Raises
     ------
     ValueError
-        If there is no lifting of this name, or the control points do not suit it.
+        If no lifting has this name, or the control points do not suit it.
 
     Examples
     --------
@@ -328,7 +317,7 @@ def make_lifting(name: str, control_points: ArrayLike) -> Lifting:
 
 
 def check_lifting(value: object) -> None:
-    """Refuse what is no lifting.
+    """Refuse a value that is not a lifting.
 
     Examples
     --------
@@ -354,7 +343,7 @@ def blocks(n: int, width: int) -> Iterator[slice]:
 
 
 def check_spread(points: Floats) -> None:
-    """Refuse control points that are fewer than three, on a line, or two in one place.
+    """Refuse fewer than three control points, control points on a line, and coincident ones.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Thin-plate splines in an order of their control points: a basis of which every leading part is a basis."""
+"""Thin-plate splines in an order of their control points: every leading part of the basis is a basis."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +11,12 @@ from mexpress.liftings.tps import kernel
 
 
 class NestedSplines:
-    """The functions of `nested_basis` and their bending, of control points that are looked at once.
+    """The functions of `nested_basis` and their bending energy, for control points that are prepared once.
 
     Parameters
     ----------
     control_points : ndarray, (l, 2)
-        Finite, in their order.
+        Control points in their order, finite.
 
     Raises
     ------
@@ -71,18 +71,18 @@ class NestedSplines:
 
 
 def nested_basis(points: ArrayLike, control_points: ArrayLike) -> Floats:
-    """Return functions of which the first k span the thin-plate splines of the first k control points.
+    """Return functions: the first k span the thin-plate splines of the first k control points.
 
-    The first three are the barycentric coordinates with respect to the first three control points. Function
-    k > 3 is phi(|q - c_k|) minus its barycentric combination of the kernels of these three, in coordinates
-    where they are about one apart: a function does not change with the control points after its own.
+    The first three are the barycentric coordinates with respect to the first three control points. Function k > 3 is
+    phi(|q - c_k|) minus its barycentric combination of the kernels of these three, in coordinates where they are about
+    one apart. A function does not depend on later control points.
 
     Parameters
     ----------
     points : array_like, (n, 2)
         Positions, in the unit of the control points.
     control_points : array_like, (l, 2)
-        As for `ThinPlateSpline`. The farther apart the first three are, the fewer digits are lost.
+        As for `ThinPlateSpline`. The farther apart the first three are, the more accurate is the result.
 
     Returns
     -------
@@ -106,9 +106,9 @@ def nested_basis(points: ArrayLike, control_points: ArrayLike) -> Floats:
 
 
 def nested_bending(control_points: ArrayLike) -> Floats:
-    """Return the rows Z whose squared norm is the bending energy, of every leading part of `nested_basis`.
+    """Return the rows Z of the bending energy of every leading part of `nested_basis`.
 
-    The energy of the k-th leading model is ||Z[:k - 3, :k] x||^2, in the unit of `ThinPlateSpline.bending`.
+    The energy of the first k functions is ||Z[:k - 3, :k] x||^2, in the unit of `ThinPlateSpline.bending`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Liftings of which only a few functions differ from zero at a point."""
+"""Liftings with only a few nonzero functions at a point."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -12,17 +12,26 @@ from mexpress._validation import Floats
 from mexpress.liftings.lifting import Lifting, blocks
 
 Entries: TypeAlias = Iterator[tuple[slice | NDArray[np.intp], NDArray[np.intp], Floats]]
-"""What `SparseLifting.entries` returns."""
+"""Type of the result of `SparseLifting.entries`."""
 
 
 class SparseLifting(Lifting):
-    """A lifting that tells the nonzero elements of its basis instead of the basis.
+    """A lifting that defines the nonzero elements of its basis instead of the basis.
 
     Examples
     --------
-    >>> from mexpress.liftings import BSpline
-    >>> issubclass(BSpline, SparseLifting)
-    True
+    >>> from mexpress.liftings import PiecewiseAffine
+    >>> plane, point = PiecewiseAffine([[0, 0], [2, 0], [0, 2]]), np.array([[1.0, 1.0]])
+    >>> plane.basis(point)
+    array([[0. , 0.5, 0.5]])
+    >>> plane.derivatives(point)
+    array([[[-0.5, -0.5],
+            [ 0.5,  0. ],
+            [ 0. ,  0.5]]])
+    >>> plane.values(point, np.array([[1.0], [2.0], [3.0]]))
+    array([[2.5]])
+    >>> plane.slopes(point, np.array([[1.0], [2.0], [3.0]]))
+    array([[[0.5, 1. ]]])
     """
 
     @abstractmethod
@@ -34,12 +43,12 @@ class SparseLifting(Lifting):
         points : ndarray, (n, 2)
             Positions, in the unit of the control points.
         along : int, optional
-            Which derivative, if any.
+            Axis of the derivative, if any.
 
         Returns
         -------
         iterator of (rows, functions, elements)
-            Some of the points, each once; a function for each of them; what its element of the basis gains.
+            Distinct points; the index of a function for each of them; the number to add to that element of the basis.
 
         Examples
         --------
@@ -50,63 +59,24 @@ class SparseLifting(Lifting):
         """
 
     def basis(self, points: ArrayLike) -> Floats:
-        """Return the l functions at n points, (n, l).
-
-        Examples
-        --------
-        >>> from mexpress.liftings import PiecewiseAffine
-        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]])
-        array([[0. , 0.5, 0.5]])
-        """
+        """Return the l functions at n points, (n, l)."""
         return self.at(check.points(points, "points"))
 
     def at(self, points: Floats) -> Floats:
-        """Return the basis at points that are checked already, (n, l).
-
-        Examples
-        --------
-        >>> from mexpress.liftings import PiecewiseAffine
-        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]]))
-        array([[0. , 0.5, 0.5]])
-        """
+        """Return the basis at checked points, (n, l)."""
         return self._dense(points)
 
     def derivatives(self, points: ArrayLike) -> Floats:
-        """Return the derivatives of the l functions along x and y at n points, (n, l, 2).
-
-        Examples
-        --------
-        >>> from mexpress.liftings import PiecewiseAffine
-        >>> PiecewiseAffine([[0, 0], [2, 0], [0, 2]]).derivatives([[1, 1]])
-        array([[[-0.5, -0.5],
-                [ 0.5,  0. ],
-                [ 0. ,  0.5]]])
-        """
+        """Return the derivatives of the l functions along x and y at n points, (n, l, 2)."""
         points = check.points(points, "points")
         return np.stack([self._dense(points, b) for b in range(2)], axis=-1)
 
     def values(self, points: Floats, parameters: Floats) -> Floats:
-        """Return nu(q_i) . x for every column x of the parameters, (n, r).
-
-        Examples
-        --------
-        >>> from mexpress.liftings import PiecewiseAffine
-        >>> plane = PiecewiseAffine([[0, 0], [1, 0], [0, 1]])
-        >>> plane.values(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]]))
-        array([[4.]])
-        """
+        """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
         return self._product(points, parameters)
 
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
-        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2).
-
-        Examples
-        --------
-        >>> from mexpress.liftings import PiecewiseAffine
-        >>> plane = PiecewiseAffine([[0, 0], [1, 0], [0, 1]])
-        >>> plane.slopes(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]]))
-        array([[[1., 2.]]])
-        """
+        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
         return np.stack([self._product(points, parameters, b) for b in range(2)], axis=-1)
 
     def _dense(self, points: Floats, along: int | None = None) -> Floats:

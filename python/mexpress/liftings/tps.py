@@ -15,16 +15,15 @@ from mexpress.liftings.lifting import Lifting, blocks, register
 class ThinPlateSpline(Lifting):
     """Thin-plate splines with given control points, in cardinal form.
 
-    The functions f(q) = a . (1, q) + sum_k w_k phi(|q - c_k|), phi(r) = r^2 log r, whose weights satisfy
-    sum_k w_k (1, c_k) = 0: a space of dimension l. Its coordinates x are the values f(c_k) at the control
-    points, so x is in the unit of the function, and constants and affine functions are contained exactly.
-    With three control points there are only the affine functions. So far from the control points that squared
-    distances overflow, values are infinite or NaN.
+    The functions f(q) = a . (1, q) + sum_k w_k phi(|q - c_k|), with phi(r) = r^2 log r and sum_k w_k (1, c_k) = 0, form
+    a space of dimension l. The coordinates x are the values f(c_k) at the control points, in the unit of f. Constants
+    and affine functions are contained exactly; three control points give only these. Values are infinite or NaN at
+    points so far away that squared distances overflow.
 
     Parameters
     ----------
     control_points : array_like, (l, 2)
-        Positions c_k, as for every `Lifting`.
+        Positions c_k, see `Lifting`.
 
     Examples
     --------
@@ -34,28 +33,20 @@ class ThinPlateSpline(Lifting):
     >>> spline.basis([[100, 0], [50, 50]]).round(6) + 0.0
     array([[0.  , 1.  , 0.  , 0.  ],
            [0.25, 0.25, 0.25, 0.25]])
+    >>> spline.values(np.array([[50.0, 50.0]]), np.array([[0.0], [2.0], [4.0], [6.0]])).round(6)
+    array([[3.]])
+    >>> spline.slopes(np.array([[50.0, 50.0]]), np.array([[0.0], [2.0], [4.0], [6.0]])).round(6)
+    array([[[0.02, 0.04]]])
     """
 
     name: ClassVar[str] = "tps"
 
     def basis(self, points: ArrayLike) -> Floats:
-        """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others.
-
-        Examples
-        --------
-        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).basis([[1, 1]]).round(6) + 0.0
-        array([[0. , 0.5, 0.5]])
-        """
+        """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others."""
         return self.at(check.points(points, "points"))
 
     def at(self, points: Floats) -> Floats:
-        """Return the basis at points that are checked already, (n, l).
-
-        Examples
-        --------
-        >>> ThinPlateSpline([[0, 0], [2, 0], [0, 2]]).at(np.array([[1.0, 1.0]])).round(6) + 0.0
-        array([[0. , 0.5, 0.5]])
-        """
+        """Return the basis at checked points, (n, l)."""
         return self.values(points, np.eye(len(self.control_points)))
 
     def derivatives(self, points: ArrayLike) -> Floats:
@@ -71,11 +62,11 @@ class ThinPlateSpline(Lifting):
         return self.slopes(check.points(points, "points"), np.eye(len(self.control_points)))
 
     def bending(self) -> Floats:
-        """Return the rows Z whose squared norm is the bending energy, (l - 3, l).
+        """Return the rows Z of the bending energy ||Z x||^2, (l - 3, l).
 
-        ||Z x||^2 = w^T K w with K_jk = phi(|c_j - c_k|) and distances in the unit of the control points.
-        8 pi times this is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the plane. It belongs to the
-        function, not to its control points: splines with different control points compare.
+        ||Z x||^2 = w^T K w with K_jk = phi(|c_j - c_k|) and distances in the unit of the control points. 8 pi ||Z x||^2
+        is the integral of f_xx^2 + 2 f_xy^2 + f_yy^2 over the plane. It depends on the function alone, so energies of
+        splines with different control points are comparable.
 
         Examples
         --------
@@ -87,14 +78,7 @@ class ThinPlateSpline(Lifting):
 
     @np.errstate(over="ignore", invalid="ignore")
     def values(self, points: Floats, parameters: Floats) -> Floats:
-        """Return nu(q_i) . x for every column x of the parameters, (n, r).
-
-        Examples
-        --------
-        >>> plane = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
-        >>> plane.values(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
-        array([[4.]])
-        """
+        """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
         weights = self._solution[0] @ parameters
         values = np.empty((len(points), parameters.shape[1]))
         for rows in blocks(len(points), len(weights)):
@@ -103,14 +87,7 @@ class ThinPlateSpline(Lifting):
 
     @np.errstate(over="ignore", invalid="ignore")
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
-        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2).
-
-        Examples
-        --------
-        >>> plane = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
-        >>> plane.slopes(np.array([[2.0, 0.5]]), np.array([[1.0], [2.0], [3.0]])).round(6)
-        array([[[1., 2.]]])
-        """
+        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
         weights = self._solution[0] @ parameters
         slopes = np.empty((len(points), parameters.shape[1], 2))
         for rows in blocks(len(points), len(weights)):
@@ -154,8 +131,8 @@ class ThinPlateSpline(Lifting):
     def _solution(self) -> tuple[Floats, Floats]:
         """Return weights w and affine parts a of the cardinal functions, (l + 3, l), and the bending rows.
 
-        With U an orthonormal basis of {w : sum_k w_k (1, c_k) = 0}, G = U^T K U is positive definite, w = E x
-        with E = U G^-1 U^T, and the affine part interpolates what K w leaves: a = P^+ (x - K E x).
+        For an orthonormal basis U of {w : sum_k w_k (1, c_k) = 0}, G = U^T K U is positive definite, w = E x with
+        E = U G^-1 U^T, and the affine part interpolates the remainder of K w: a = P^+ (x - K E x).
         """
         terms = self._terms(self.control_points)
         kernels, affine = terms[:, :-3], terms[:, -3:]
@@ -168,7 +145,7 @@ class ThinPlateSpline(Lifting):
 
 
 def kernel(points: Floats, centres: Floats) -> Floats:
-    """Return phi = r^2 log r = (r^2 log r^2) / 2, (n, l); the floor under the logarithm gives 0 at r = 0.
+    """Return phi = r^2 log r = (r^2 log r^2) / 2, (n, l); a lower bound in the logarithm gives 0 at r = 0.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Delaunay triangulation: its triangles, which of them holds a point, and the hull."""
+"""Delaunay triangulation: triangles, hull, and the triangle of a point."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,15 +13,15 @@ from mexpress._validation import Floats
 Indices: TypeAlias = NDArray[np.intp]
 
 _SAME_DIRECTION = 1e-9
-"""Angle below which two neighbours of a point are in the same direction from it."""
+"""Two neighbours of a point are in the same direction from it if the angle between them is below this."""
 
 _SHEAR = 2.0**-20
-"""What decides between triangulations that are Delaunay's but for this."""
+"""Shear that decides between several Delaunay triangulations."""
 
 _NEXT = np.array([1, 2, 0])
 
 _SLACK = 1e-12
-"""A point with no barycentric coordinate below minus this is in a triangle: rounding may put it there."""
+"""A point is in a triangle if no barycentric coordinate is below minus this, because of rounding."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,26 +52,20 @@ class Triangulation:
 
     @cached_property
     def corners(self) -> Indices:
-        """Points of every triangle, counter-clockwise from the smallest index, (t, 3).
-
-        Examples
-        --------
-        >>> Triangulation(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).corners
-        array([[0, 2, 1]])
-        """
+        """Points of every triangle, counter-clockwise from the smallest index, (t, 3)."""
         here, after, following = _turns(self.points)
         faces = np.column_stack([here, after, following])
         smallest = faces.argmin(axis=1)[:, None]
         faces, found = np.unique(
             np.take_along_axis(faces, (smallest + np.arange(3)) % 3, axis=1), axis=0, return_counts=True
         )
-        # All but the outer face are triangles. It has three corners only if there is one triangle.
+        # All faces except the outer one are triangles. The outer face has three corners only if there is one triangle.
         triangles = faces[found == 3]
         return np.asarray(triangles[_doubled_area(self.points[triangles]) > 0])
 
     @cached_property
     def sides(self) -> Floats:
-        """From every corner of every triangle to the next one, (t, 3, 2)."""
+        """Vectors from every corner of every triangle to the next corner, (t, 3, 2)."""
         corners = self.points[self.corners]
         return np.asarray(corners[:, _NEXT] - corners)
 
@@ -97,15 +91,15 @@ class Triangulation:
 
     @cached_property
     def hull(self) -> tuple[Indices, Indices]:
-        """Triangles and sides that make the hull, (h,) each."""
+        """Triangle and side of every edge of the hull, (h,) each."""
         triangle, side = np.nonzero(self.neighbours < 0)
         return triangle, side
 
     def locate(self, points: Floats) -> Indices:
-        """Return which triangle holds each of n points, (n,); negative for a point outside of all.
+        """Return the triangle of each of n points, (n,); negative for a point outside the hull.
 
-        A visibility walk: to a neighbour across a side that the point is beyond, which ends in a Delaunay
-        triangulation. It starts from the triangle at the middle of the point's cell in a grid.
+        A visibility walk moves to a neighbour across a side that separates the point from the triangle, and ends in a
+        Delaunay triangulation. It starts at the triangle at the middle of the point's cell in a grid.
         """
         return self._walk(points, self._cells[1][self._cell_of(points)])
 
@@ -113,13 +107,13 @@ class Triangulation:
         """Return the triangle where the walk ends, or ~t if it leaves the hull from triangle t."""
         at, came = start.copy(), np.full(len(points), -2)
         walking = np.arange(len(points))
-        for _ in range(2 * len(self.corners)):  # enough but for ties that rounding makes
+        for _ in range(2 * len(self.corners)):  # enough, except for ties by rounding
             here = at[walking]
             offset = points[walking, None] - self.points[self.corners[here]]
             side = self.sides[here]
             beyond = side[..., 0] * offset[..., 1] - side[..., 1] * offset[..., 0]
             limit = -2 * _SLACK * self.areas[here, None]
-            # Not back: a point between two triangles must not go back and forth.
+            # Not back: a point between two triangles would go back and forth.
             beyond[self.neighbours[here] == came[walking, None]] = np.inf
             across = beyond.argmin(axis=1)
             rows = np.flatnonzero(np.take_along_axis(beyond - limit, across[:, None], axis=1)[:, 0] < 0)
@@ -134,7 +128,7 @@ class Triangulation:
 
     @cached_property
     def _cells(self) -> tuple[tuple[Floats, Floats, int], Indices]:
-        """Return the corner, the size and the number along each axis of a grid's cells; a triangle for each."""
+        """Return the corner, size and number along each axis of the cells of a grid, and a triangle for each cell."""
         low, extent = self.points.min(axis=0), np.ptp(self.points, axis=0)
         count = int(np.ceil(np.sqrt(len(self.corners))))
         middle = (np.arange(count) + 0.5) / count
@@ -154,18 +148,17 @@ def _doubled_area(corners: Floats) -> Floats:
 
 
 def _turns(points: Floats) -> tuple[Indices, Indices, Indices]:
-    """Return every point with two neighbours of it that follow one another counter-clockwise.
+    """Return every point with two of its neighbours that are successive counter-clockwise.
 
-    Where points are on a straight part of the hull but for rounding, the hull's edges may skip some of them.
-    Such an edge has the direction of a shorter one, and is left out: the triangle between them is nothing.
-    Angles are those in coordinates where the points spread as far along x as along y, which no order changes
-    and which a thin strip needs.
+    Where points are on a straight part of the hull within rounding, hull edges may skip some of them. Such an edge has
+    the direction of a shorter edge and is omitted: the triangle between them is empty. Angles are measured in
+    coordinates with equal spread along x and y, which keep the order of directions and which a thin strip needs.
     """
     about = points - points.mean(axis=0)
     about = about / np.abs(about).max()
     white = np.linalg.solve(np.linalg.cholesky(about.T @ about), about.T).T
-    # Every cell of a grid can be cut both ways. In this metric, next to the usual one, all are cut the same way, where
-    # rounding would decide anew in other units.
+    # Every cell of a grid can be cut in two ways. This metric, close to the usual one, cuts all cells the same way;
+    # otherwise rounding would decide, and depend on the unit.
     offsets, members = _core.neighbours_delaunay(about @ np.array([[1.0, 0.0], [_SHEAR, 1.0]]))
     here = np.repeat(np.arange(len(points)), np.diff(offsets))
     here, there = here[members != here], members[members != here]
