@@ -1,9 +1,9 @@
 """Simulated images of bent sheets, as in section 4.4.2 of the paper.
 
-The paper's sheets and poses are not published. Ours are exactly isometric and nowhere hidden, and fill the view: a
-camera is so near that parts of a sheet are outside its image. Matches are points that both images have. How far the
-sheets bend, in how long waves, how tilted they are seen and from how near was chosen on the row TEST of the paper's
-table 1; ``docs/reproduction.md`` of the project says how near that came.
+The paper's sheets and poses are not published. Ours are exactly isometric, nowhere hidden, and fill the view: a camera
+is so near that parts of a sheet are outside its image. Matches are points inside both images. The bending of the
+sheets, the lengths of its waves, the tilt of the views and their distance are fitted to the row TEST of the paper's
+table 1; ``docs/reproduction.md`` of the project reports the agreement.
 
 Examples
 --------

@@ -1,4 +1,4 @@
-"""Pinhole cameras, and the nearest one that has all points of a surface in view."""
+"""Pinhole cameras, and the nearest camera with all points of a surface in view."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FOCAL = (20.0, 50.0)
 """Focal lengths in millimetres."""
 
 FILL = 1.6
-"""By how much a camera is nearer than the nearest that has all of a sheet in view, so that the sheet fills the view."""
+"""The nearest camera with the whole sheet in view is this many times farther: the sheet fills the view."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,14 +33,14 @@ class Camera:
         Focal length in millimetres, with a sensor 35 mm wide.
     rotation : array_like, (3, 3)
     translation : array_like, (3,)
-        A point X of space is at rotation X + translation from the camera: x right, y down, z ahead.
+        A point X of space has the camera coordinates rotation X + translation: x right, y down, z ahead.
     affine : bool, default False
-        Whether every point is projected as if it were as far as the origin of space (weak perspective).
+        Whether all points are projected with the depth of the origin of space (weak perspective).
 
     Raises
     ------
     ValueError, TypeError
-        If a shape is wrong, the rotation is not one, or the origin of space is not ahead.
+        If a shape is wrong, `rotation` is not a rotation, or the origin of space is not ahead.
 
     Examples
     --------
@@ -74,17 +74,17 @@ class Camera:
         return f"Camera({kind}{self.focal:.3g} mm, {self.translation[2]:.3g} away)"
 
     def __call__(self, points: ArrayLike) -> Floats:
-        """Images of points.
+        """Project points to the image.
 
         Parameters
         ----------
         points : array_like, (k, 3)
-            Ahead of the camera.
+            Points ahead of the camera.
 
         Returns
         -------
         ndarray, (k, 2)
-            In pixels, x right and y down from the image's corner.
+            Positions in pixels, x right and y down from the corner of the image.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Camera:
         return np.asarray(pixels(self.focal) * seen[:, :2] / depth + 0.5 * np.array(IMAGE_SIZE))
 
     def enlargement(self, points: Floats, normals: Floats) -> Floats:
-        """Square pixels of image for a unit of area of a surface at points (k, 3) with normals (k, 3), (k,)."""
+        """Square pixels per unit of area of a surface at points (k, 3) with normals (k, 3), (k,)."""
         if self.affine:
             return np.asarray((pixels(self.focal) / self.translation[2]) ** 2 * (normals @ self.rotation[2]))
         seen = points @ self.rotation.T + self.translation
@@ -106,7 +106,7 @@ class Camera:
         return np.asarray(pixels(self.focal) ** 2 * towards / seen[:, 2] ** 3)
 
     def rays(self, points: Floats) -> Floats:
-        """Unit directions in space in which the camera sees points (k, 3), (k, 3)."""
+        """Unit directions in space from the camera to points (k, 3), (k, 3)."""
         if self.affine:
             return np.broadcast_to(self.rotation[2], points.shape)
         seen = points + self.rotation.T @ self.translation
@@ -114,17 +114,17 @@ class Camera:
 
 
 def is_rotation(matrix: Floats) -> bool:
-    """Whether a matrix (3, 3) is one."""
+    """Whether a matrix (3, 3) is a rotation."""
     return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0)
 
 
 def pixels(focal: float) -> float:
-    """Focal length in pixels from one in millimetres."""
+    """Focal length in pixels of a focal length in millimetres."""
     return focal * IMAGE_SIZE[0] / SENSOR
 
 
 def look(points: Floats, rotation: Floats, focal: float, affine: bool = False, fill: float = 1.0) -> Camera:
-    """The nearest camera of this direction that has all points (k, 3) in view, in the middle; nearer by `fill`."""
+    """The nearest camera of a direction with all points (k, 3) in view, centred; then nearer by the factor `fill`."""
     seen = points @ rotation.T
     depth = np.zeros(len(seen)) if affine else seen[:, 2]
     centres, distances = [], []
@@ -139,12 +139,12 @@ def look(points: Floats, rotation: Floats, focal: float, affine: bool = False, f
 
 
 def facing(points: Floats, normals: Floats, camera: Camera) -> float:
-    """Least cosine between a surface's normals and the rays that see it; -1 if a part is not ahead of the camera."""
+    """Smallest cosine between normals and viewing rays; -1 if a point is not ahead of the camera."""
     if not camera.affine and (points @ camera.rotation[2] + camera.translation[2]).min() <= 0:
         return -1.0
     return float((normals * camera.rays(points)).sum(axis=1).min())
 
 
 def in_frame(images: Floats) -> NDArray[np.bool_]:
-    """Which points (k, 2) are in the image, (k,)."""
+    """Whether points (k, 2) are inside the image, (k,)."""
     return np.asarray(((images >= 0) & (images <= IMAGE_SIZE)).all(axis=1))

@@ -1,8 +1,8 @@
-"""Sheets of paper, bent but not stretched.
+"""Sheets of paper that are bent, but not stretched.
 
-A developable surface is ruled: through each of its points goes a straight line along which its normal does not turn.
-Folding a flat sheet by a small angle about each of many rulings moves the strips between them rigidly, so that lengths
-on the sheet are kept to rounding, whatever the angles. See `Sheet`.
+A developable surface is ruled: through each of its points passes a straight line along which its normal is constant.
+A flat sheet that is folded by small angles about many rulings consists of strips that move rigidly, so lengths on the
+sheet stay the same up to rounding, for any angles. See `Sheet`.
 """
 
 from __future__ import annotations
@@ -18,47 +18,47 @@ from mexpress._validation import Floats, Integers
 from mexpress.simulation.cameras import FOCAL, facing, look
 
 COUNT = 10
-"""Sheets in a set, as in the paper."""
+"""Number of sheets in a set, as in the paper."""
 
 WIDTH, HEIGHT = 1.6, 0.9
-"""Of every sheet; the shape of the camera's image."""
+"""Size of every sheet, with the shape of the camera's image."""
 
 RULINGS = 400
-"""So many that a facet is flat to less than a tenth of a pixel."""
+"""Number of rulings: facets are flat to less than a tenth of a pixel."""
 
 BEND = (2.2, 2.4)
-"""Least and greatest bending in radians that a set starts with: how far a sheet's normal swings in all."""
+"""Smallest and largest initial bending in a set: the range of the angle of a sheet's normal, in radians."""
 
 WAVES = 8
-"""The shortest of the normal's waves has so many halves along the width."""
+"""Number of half waves of the normal along the width, for its shortest wave."""
 
 DECAY = -0.5
-"""Amplitudes of the normal's waves fall as this power of their number: they rise."""
+"""Amplitudes of the normal's waves fall with this power of their number (so they rise)."""
 
 SKEW = 0.1
-"""Amplitude of the waves of the logarithm of the rulings' spacing, on either edge."""
+"""Amplitude of the waves in the logarithm of the spacing of rulings, on either edge."""
 
 MARGIN = 0.22
-"""Least cosine between normals and rays in the frontal view that each sheet has to have."""
+"""Smallest cosine between normals and rays in the frontal view of every sheet."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sheet:
-    """A rectangle that is folded by small angles about rulings, and so bent without being stretched.
+    """A rectangle that is folded by small angles about rulings: it bends, but does not stretch.
 
     The rulings join two opposite edges of the sheet's bounding box in a frame that is turned within the sheet. Their
-    ends follow each other in the same order on both edges, so they do not cross in the box, nor in the sheet.
+    ends have the same order on both edges, so the rulings do not cross in the sheet.
 
     Parameters
     ----------
     lower, upper : array_like, (k,)
-        Where the rulings meet the edges of the box, along them from their middle; both increase.
+        Positions of the ends of the rulings along the edges of the box, from the middle of each edge; both increase.
     angles : array_like, (k,)
-        By how much the sheet is folded about every ruling, in radians.
+        Angle of the fold about every ruling, in radians.
     turn : float, default 0
         Angle in radians from the sheet's x axis to the edges that the rulings join.
     width, height : float, default 1.6 and 0.9
-        Of the sheet.
+        Size of the sheet.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Sheet:
 
     @property
     def bend(self) -> float:
-        """How far the sum of the angles swings, in radians."""
+        """Range of the sum of the angles, in radians."""
         sums = np.concatenate([[0.0], np.cumsum(self.angles)])
         return float(np.ptp(sums))
 
@@ -111,12 +111,12 @@ class Sheet:
         Parameters
         ----------
         points : array_like, (k, 2)
-            In the sheet's own coordinates: x to the right and y down from its middle.
+            Coordinates on the sheet: x to the right and y down from its middle.
 
         Returns
         -------
         ndarray, (k, 3)
-            Turned and moved so that they are near (x, y, 0).
+            Positions in a pose of the sheet that is near (x, y, 0).
 
         Raises
         ------
@@ -135,16 +135,17 @@ class Sheet:
         return np.asarray(np.einsum("kij,kj->ki", rotations[strips][:, :, :2], where) + offsets[strips])
 
     def normals(self, points: ArrayLike) -> Floats:
-        """Unit normals at points on the sheet, near (0, 0, 1).
+        """Normals at points on the sheet, near (0, 0, 1).
 
         Parameters
         ----------
         points : array_like, (k, 2)
-            In the sheet's own coordinates.
+            Coordinates on the sheet.
 
         Returns
         -------
         ndarray, (k, 3)
+            Unit vectors.
 
         Raises
         ------
@@ -161,7 +162,7 @@ class Sheet:
         return rotations[self.strips(self._on_sheet(points))][:, :, 2]
 
     def grid(self, columns: int = 60, rows: int = 34) -> Floats:
-        """Middles of the cells of a regular division of the sheet, (columns * rows, 2).
+        """Centres of the cells of a regular grid on the sheet.
 
         Parameters
         ----------
@@ -171,7 +172,7 @@ class Sheet:
         Returns
         -------
         ndarray, (columns * rows, 2)
-            Row after row.
+            Coordinates on the sheet, row after row.
 
         Examples
         --------
@@ -185,17 +186,17 @@ class Sheet:
         return np.column_stack([np.tile(x * self.width, rows), np.repeat(y * self.height, columns)])
 
     def border(self, count: int = 40) -> Floats:
-        """Points on the sheet's edge, in order and count on each of its four sides, (4 count, 2).
+        """Points along the four sides of the sheet, in order.
 
         Parameters
         ----------
         count : int, default 40
-            Points on each side.
+            Number of points on each side.
 
         Returns
         -------
         ndarray, (4 * count, 2)
-            The first is a corner, and is not repeated at the end.
+            Coordinates on the sheet. The first point is a corner, and is not repeated at the end.
 
         Examples
         --------
@@ -211,7 +212,7 @@ class Sheet:
 
     @cached_property
     def samples(self) -> tuple[Floats, Floats]:
-        """Positions and normals all over the sheet, its border included, (k, 3) each."""
+        """Positions and normals all over the sheet and its border, (k, 3) each."""
         where = np.concatenate([self.grid(), self.border()])
         return self(where), self.normals(where)
 
@@ -227,7 +228,7 @@ class Sheet:
 
     @property
     def _axes(self) -> Floats:
-        """Columns: the direction of the edges that the rulings join, and across."""
+        """Columns: the direction of the edges that the rulings join, and the direction across."""
         cosine, sine = np.cos(self.turn), np.sin(self.turn)
         return np.array([[cosine, -sine], [sine, cosine]])
 
@@ -237,16 +238,16 @@ class Sheet:
         return float(np.abs(self._axes[:, 1]) @ (self.width, self.height)) / 2
 
     def strips(self, points: Floats) -> Integers:
-        """Between which rulings points are: how many rulings come before each, (k,)."""
+        """Number of rulings before each point, (k,): the index of its strip."""
         along, across = (points @ self._axes).T
         share = (across / self._depth + 1)[:, None] / 2
-        # Rulings do not cross, so at every height their abscissae stand in order.
+        # Rulings do not cross, so their abscissae are in order at every height.
         before = self.lower * (1 - share) + self.upper * share < along[:, None]
         return np.asarray(before.sum(axis=1), dtype=np.int64)
 
     @cached_property
     def _placed(self) -> tuple[Floats, Floats]:
-        """How the strips move: rotations (k + 1, 3, 3) and offsets (k + 1, 3), near the identity in the mean."""
+        """Motions of the strips: rotations (k + 1, 3, 3) and offsets (k + 1, 3), whose mean is near the identity."""
         rotations, offsets = self._folded()
         where = self.grid()
         strips = self.strips(where)
@@ -258,7 +259,7 @@ class Sheet:
         return back @ rotations, (offsets - middle) @ back.T
 
     def _folded(self) -> tuple[Floats, Floats]:
-        """How the strips move when the first one stays."""
+        """Motions of the strips relative to the first strip."""
         ends = [
             np.column_stack([x, np.full_like(x, y)]) @ self._axes.T
             for x, y in ((self.lower, -self._depth), (self.upper, self._depth))
@@ -288,7 +289,7 @@ def _rotation(axis: Floats, angle: float) -> Floats:
 
 
 def sheets(seed: int = 0) -> tuple[Sheet, ...]:
-    """Ten sheets, each bent in its own way.
+    """Ten sheets, each with its own random bending.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def sheets(seed: int = 0) -> tuple[Sheet, ...]:
     Returns
     -------
     tuple of Sheet
-        Ten of 1.6 x 0.9.
+        Ten sheets of 1.6 x 0.9.
 
     Raises
     ------
@@ -322,14 +323,14 @@ def _sheets(seed: int) -> tuple[Sheet, ...]:
 
 
 def _sheet(seed: int, index: int, bend: float) -> Sheet:
-    """The first random sheet of its kind that a camera sees whole from the front."""
+    """The first random sheet that a camera sees completely from the front."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, index)))
     while True:
         sheet = _random_sheet(rng, bend)
         frontal = look(sheet.samples[0], np.eye(3), FOCAL[0])
         if facing(*sheet.samples, frontal) > MARGIN:
             return sheet
-        bend *= 0.97  # an upper bound on the draws
+        bend *= 0.97  # so the number of draws is bounded
 
 
 def _random_sheet(rng: np.random.Generator, bend: float) -> Sheet:
@@ -338,21 +339,21 @@ def _random_sheet(rng: np.random.Generator, bend: float) -> Sheet:
     lower, upper = (half * _increasing(rng) for _ in range(2))
     flat = Sheet(lower, upper, np.zeros(RULINGS), turn)
     strips = flat.strips(flat.border())
-    # Bending where the sheet is, not in the corners of the box.
+    # The bending is within the sheet, not in the corners of the box.
     time = (np.arange(RULINGS + 1) - strips.min()) / np.ptp(strips)
     normal = _waves(rng, np.clip(time, 0, 1) * 2 * half / WIDTH, WAVES, DECAY)
     return Sheet(lower, upper, np.diff(normal) * bend / np.ptp(normal), turn)
 
 
 def _increasing(rng: np.random.Generator) -> Floats:
-    """Abscissae from -1 to 1 of the rulings, unevenly but smoothly spaced."""
+    """Abscissae of the rulings from -1 to 1, with smoothly varying spacing."""
     steps = np.exp(SKEW * _waves(rng, np.linspace(0, 1, RULINGS), 3, 0.0))
     ends = np.cumsum(steps)
     return np.asarray(2 * (ends - steps / 2) / ends[-1] - 1)
 
 
 def _waves(rng: np.random.Generator, time: Floats, count: int, decay: float) -> Floats:
-    """Random smooth function of time: waves of which 1, 2, ... halves fit between 0 and 1."""
+    """Random smooth function of time: a sum of waves with 1, 2, ... half waves between 0 and 1."""
     order = np.arange(1, count + 1)
     amplitudes = rng.uniform(0.5, 1.5, count) / order**decay
     phases = rng.uniform(0, 2 * np.pi, count)

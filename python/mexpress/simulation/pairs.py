@@ -1,7 +1,4 @@
-"""The paper's 450 simulated image pairs (section 4.4.2): which sheets, from where, and the points matched.
-
-See `correspondences`.
-"""
+"""The paper's 450 simulated image pairs (section 4.4.2): pairs of sheets, their views, and the matches."""
 
 from __future__ import annotations
 
@@ -19,10 +16,10 @@ from mexpress.simulation.developable import COUNT, Sheet, sheets
 from mexpress.simulation.poses import random_camera
 
 VIEWS = 5
-"""Poses and focal lengths for each pair of sheets."""
+"""Number of views (poses and focal lengths) of each pair of sheets."""
 
 DENSE = (75, 42)
-"""Columns and rows of the grid on a sheet, of which those in view are the dense points."""
+"""Columns and rows of a grid on a sheet; its points inside both images are the dense points."""
 
 View: TypeAlias = tuple[Sheet, Camera]
 Views: TypeAlias = tuple[View, View]
@@ -30,14 +27,14 @@ Views: TypeAlias = tuple[View, View]
 
 @dataclass(frozen=True)
 class Configuration:
-    """Which two sheets are matched, and which of their views.
+    """A pair of sheets and one of its views.
 
     Parameters
     ----------
     source, target : int
-        Indices of two sheets from 0 to 9.
+        Indices of two sheets, from 0 to 9.
     view : int
-        Which of the pair's poses and focal lengths, from 0 to 4.
+        Index of the poses and the focal length, from 0 to 4.
 
     Raises
     ------
@@ -71,9 +68,9 @@ class Correspondences:
     source, target : (n, 2) array
         Matches in pixels, with noise.
     dense_source, dense_target : (k, 2) array
-        Images without noise of those points of a regular grid on the sheet that both images have, in pixels.
+        Images, without noise and in pixels, of the points of a regular grid on the sheet that are inside both images.
     contour_source, contour_target : (c, 2) array, optional
-        Images without noise of a smooth closed curve on the sheet, in pixels.
+        Images, without noise and in pixels, of a smooth closed curve on the sheet.
     image_size : (float, float), default (1920.0, 1080.0)
         Width and height of both images in pixels.
     """
@@ -91,7 +88,7 @@ class Correspondences:
 
 
 def configurations() -> list[Configuration]:
-    """All pairs of different sheets, either one first, with five views each: 450, always in the same order.
+    """All 450 configurations, in a fixed order: ordered pairs of different sheets, with five views each.
 
     Examples
     --------
@@ -109,28 +106,29 @@ def correspondences(
 ) -> Correspondences:
     """Matches between the images of two sheets.
 
-    The points' images are uniform, in the source image, over what both images have of the sheet. What is random depends
-    on the arguments alone, not on what was made before; the sheets and cameras do not depend on the number of points.
+    The source points are uniform over the part of the sheet's image that is inside both images. The result depends on
+    the arguments alone, not on earlier calls; sheets and cameras do not depend on the number of points.
 
     Parameters
     ----------
     configuration : Configuration
-        Which sheets and views.
+        The sheets and the view.
     n : int
         Number of matches, at least 1.
     noise : float, default 1
         Standard deviation in pixels of every coordinate of every image point in both images.
     seed : int, default 0
-        Of the sheets, the views, the points and the noise.
+        Seed of the sheets, the views, the points and the noise.
 
     Returns
     -------
     Correspondences
+        The matches, and dense points without noise.
 
     Raises
     ------
     ValueError, TypeError
-        If an argument is not as above.
+        If an argument is invalid.
 
     Examples
     --------
@@ -148,7 +146,7 @@ def correspondences(
 
 @lru_cache(maxsize=8)
 def views(configuration: Configuration, seed: int) -> Views:
-    """Both sheets and what sees them; kept, since problems of several sizes share them."""
+    """Both sheets with their cameras, cached for problems of several sizes."""
     rng = stream(seed, 1, configuration.source, configuration.target, configuration.view)
     focal = float(rng.uniform(*FOCAL))
     source, target = (
@@ -159,14 +157,14 @@ def views(configuration: Configuration, seed: int) -> Views:
 
 
 def stream(seed: int, *place: int) -> np.random.Generator:
-    """Random numbers that belong to one place of a simulation alone."""
+    """Random generator for one place in a simulation."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))
 
 
 def match(
     pair: Views, n: int, noise: float, rng: np.random.Generator, contour: Floats | None = None
 ) -> Correspondences:
-    """Images of n random points that both views have, of a grid of such, and of a curve on the sheet (c, 2)."""
+    """Images of n random points inside both views, of a grid of such points, and of a curve on the sheet (c, 2)."""
     points, sheet = scatter(pair, n, rng), pair[0][0]
     source, target = images(pair, points) + (rng.normal(0.0, noise, (2, n, 2)) if noise else 0.0)
     grid = sheet.grid(*DENSE)
@@ -176,18 +174,18 @@ def match(
 
 
 def images(pair: Views, points: Floats) -> Floats:
-    """Where points on the sheet (k, 2) are in both views, (2, k, 2)."""
+    """Images in both views of points on the sheet (k, 2), (2, k, 2)."""
     return np.stack([camera(sheet(points)) for sheet, camera in pair])
 
 
 def seen(pair: Views, points: Floats) -> NDArray[np.bool_]:
-    """Which points on the sheet (k, 2) both views have, (k,)."""
+    """Whether points on the sheet (k, 2) are inside both views, (k,)."""
     first, second = images(pair, points)
     return in_frame(first) & in_frame(second)
 
 
 def scatter(pair: Views, n: int, rng: np.random.Generator) -> Floats:
-    """Points on the sheet that both views have, their images uniform over the sheet's in the first, (n, 2)."""
+    """Points on the sheet inside both views, (n, 2), whose first images are uniform over the sheet's image."""
     sheet, camera = pair[0]
     most = 1.1 * camera.enlargement(*sheet.samples).max()
     places = np.zeros((0, 2))

@@ -9,32 +9,32 @@ from mexpress.simulation.cameras import Camera, facing, look
 from mexpress.simulation.developable import Sheet
 
 TILT = (0.8, 0.3)
-"""Largest and least angle in radians between the optical axis and the sheet's mean normal."""
+"""Largest and smallest angle in radians between the optical axis and the sheet's mean normal."""
 
 ROLL = 0.1
-"""Largest angle in radians by which the sheet is turned in the image."""
+"""Largest rotation of the sheet in the image, in radians."""
 
 GRAZING = 0.2
-"""Least cosine between the sheet's normals and the rays that see it."""
+"""Smallest cosine between the sheet's normals and the viewing rays."""
 
 DRAWS = 100
-"""Random poses that are tried, ever nearer to the frontal one."""
+"""Number of random poses to try, each nearer to the frontal pose."""
 
 
 def visible(sheet: Sheet, camera: Camera) -> bool:
-    """Whether nothing hides any part of the sheet, and the camera sees it nowhere grazing.
+    """Whether no part of the sheet hides another, and the camera sees it nowhere at a grazing angle.
 
-    A map that is one-to-one near every point of a disk, and on the disk's border, is one-to-one.
+    A map that is one-to-one near every point of a disk, and on its border, is one-to-one.
     """
     return facing(*sheet.samples, camera) > GRAZING and is_simple(camera(sheet(sheet.border())))
 
 
 def is_simple(polygon: Floats) -> bool:
-    """Whether the sides of a closed polygon (k, 2) meet nowhere but at their common ends."""
+    """Whether the sides of a closed polygon (k, 2) do not cross."""
     start, along = polygon, np.roll(polygon, -1, axis=0) - polygon
 
     def side(points: Floats) -> Floats:
-        """On which side of every line (rows) points (columns) are."""
+        """Sides of points (columns) relative to lines (rows)."""
         offset = points[None] - start[:, None]
         return np.sign(along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0])
 
@@ -47,7 +47,7 @@ def is_simple(polygon: Floats) -> bool:
 def random_camera(
     sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False, fill: float = 1.0
 ) -> Camera:
-    """A camera that sees a sheet, nowhere hidden, from a random direction; from the front, if it has to be."""
+    """A camera that sees a sheet completely from a random direction; from the front if no such direction is found."""
     for share in np.sqrt(np.linspace(1, 0, DRAWS)):
         camera = look(sheet.samples[0], _random_rotation(rng, share), focal, affine, fill)
         if visible(sheet, camera):
@@ -56,7 +56,7 @@ def random_camera(
 
 
 def _random_rotation(rng: np.random.Generator, share: float) -> Floats:
-    """Tilt about any axis in the image, after a roll; both a share of what they may be."""
+    """A tilt about a random axis in the image after a roll, both scaled by a share of their limits."""
     tilt = np.arccos(rng.uniform(*np.cos(share * np.array(TILT))))
     roll, axis = share * rng.uniform(-ROLL, ROLL), rng.uniform(0, 2 * np.pi)
     turned = _about_z(axis)

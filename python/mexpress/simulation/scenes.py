@@ -1,7 +1,4 @@
-"""Two views of a sheet of which one knows how it moved: flat, rigid but curved, or bent anew.
-
-See `scene`.
-"""
+"""Two views of a sheet with a known motion: flat, rigid and curved, or deformed."""
 
 from __future__ import annotations
 
@@ -21,30 +18,30 @@ PROJECTIONS = ("affine", "perspective")
 def scene(kind: str, projection: str, n: int, noise: float = 1.0, seed: int = 0) -> Correspondences:
     """Matches between two views of a sheet, and the images of a contour on it.
 
-    The directions of the views are drawn alike for all kinds, and do not depend on the number of points.
+    The directions of the views are drawn in the same way for all kinds, and do not depend on the number of points.
 
     Parameters
     ----------
     kind : {"flat", "rigid", "deformable"}
-        A flat sheet; a curved one; or a curved one that is bent otherwise in the second view.
+        A flat sheet, a curved sheet, or a curved sheet with another bending in the second view.
     projection : {"affine", "perspective"}
-        Whether the cameras are weak perspective ones.
+        Weak-perspective or perspective cameras.
     n : int
         Number of matches, at least 1.
     noise : float, default 1
         Standard deviation in pixels of every coordinate of every image point in both images.
     seed : int, default 0
-        Of everything random.
+        Seed of everything random.
 
     Returns
     -------
     Correspondences
-        With the contour's images.
+        The matches, and the images of the contour.
 
     Raises
     ------
     ValueError, TypeError
-        If an argument is not as above.
+        If an argument is invalid.
 
     Examples
     --------
@@ -65,7 +62,7 @@ def scene(kind: str, projection: str, n: int, noise: float = 1.0, seed: int = 0)
 
 
 def _choice(value: str, name: str, choices: tuple[str, ...]) -> int:
-    """Which of the choices it is."""
+    """Index of a choice."""
     if not isinstance(value, str) or value not in choices:
         rule = f"It must be one of {', '.join(choices)}."
         check.refuse(name, rule, check.describe(value), ValueError if isinstance(value, str) else TypeError)
