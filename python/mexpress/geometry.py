@@ -128,7 +128,7 @@ def diagonal(points: Floats) -> float:
 
 
 def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Tell which points are in a convex region or, within rounding, on its edge.
+    """Return which points are in a convex region or, within rounding, on its edge.
 
     `x` and `y` are coordinates of shapes that broadcast: (n,) and (n,) for n points, (columns,) and (rows, 1) for a
     grid.

@@ -188,7 +188,7 @@ def suspects(
     ----------
     build : callable
         Returns a `LeastSquares` of all data with given weights, (n,): 1 for data in the fit, almost 0 for other data.
-        Wrong data disturb the selection of a model as much as its fit, so `build` should select the model anew each
+        Wrong data disturb the selection of a model as much as its fit, so `build` should select the model again each
         time, by a criterion with these weights.
     scheme : Scheme
         Validates every datum once, alone: `schemes.exclusion_radius`, `schemes.nearest`, or, if wrong data do not form

@@ -64,7 +64,7 @@ class NestedSplines:
         return rows
 
     def _barycentric(self, points: Floats) -> Floats:
-        """Return barycentric coordinates with respect to the first three centres, of which the first is 0."""
+        """Return barycentric coordinates with respect to the first three centres; the first centre is the origin."""
         (x, y), (a, b), (c, d) = points.T, *self._centres[1:3]
         second, third = (d * x - c * y) / (a * d - b * c), (a * y - b * x) / (a * d - b * c)
         return np.column_stack([1 - second - third, second, third])

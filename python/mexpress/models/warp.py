@@ -163,7 +163,7 @@ class Warp(Model):
         return self._denominator(check.points(points, "points"))
 
     def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
-        """Tell where the warp maps points to infinity or beyond, so that its values are meaningless.
+        """Find where the warp maps points to infinity or beyond, so that its values are meaningless.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class Warp(Model):
         return np.asarray(~(self._denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
 
     def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell where the warp folds: where the sign of the Jacobian's determinant is not that of most of the domain.
+        """Find where the warp folds: where the sign of the Jacobian's determinant is not that of most of the domain.
 
         Parameters
         ----------

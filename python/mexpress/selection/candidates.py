@@ -90,7 +90,7 @@ class Candidates(Generic[ModelT]):
     largest : int
         Largest number of control points if `counts` is None.
     order : callable or None
-        Returns the data that become control points, at most so many; every count takes the first of them, and the
+        Returns at most a number of data that become control points; every count takes the first of them, and the
         lifting is a thin-plate spline. None if every count has its own control points.
     smoothing : float, list of float, or "auto"
         Weights of the bending energy.

@@ -137,7 +137,7 @@ class FittedSelection(Selection, Generic[ModelT]):
     def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
         """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
 
-        Wrong data disturb the selection too. So ER10 selects the model anew in every round, among three numbers of
+        Wrong data disturb the selection too. So ER10 selects the model again in every round, among three numbers of
         control points and seven weights of the bending energy. This is no RANSAC: if half of the data are wrong, it
         warns that its result is doubtful.
 

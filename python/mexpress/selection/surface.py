@@ -125,8 +125,8 @@ def select_surface(
     placement : {"residual", "nested", "lloyd"}, optional
         Placement of control points. "residual": the datum farthest from the surface so far is the next one. "nested":
         the next one is always the datum farthest from the control points so far, which spreads them evenly at every
-        count. Both are for thin-plate splines only. "lloyd": for every count anew, over the region of the data, by
-        Lloyd's algorithm or on the lifting's grid. The default is "residual" for thin-plate splines ("nested" with
+        count. Both are for thin-plate splines only. "lloyd": separately for every count, over the region of the data,
+        by Lloyd's algorithm or on the lifting's grid. The default is "residual" for thin-plate splines ("nested" with
         `smoothing` "auto"), and "lloyd" for other liftings.
 
     Returns

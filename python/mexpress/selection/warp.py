@@ -117,10 +117,10 @@ def select_warp(
         "auto", only the smallest and the number of matches, at most 300 (900 without perspective): the weight
         controls the flexibility, and the choice among fewer models is less random.
     placement : {"lloyd", "nested"}, optional
-        Placement of control points. "lloyd": for every count anew, over the region that the source points cover, by
-        Lloyd's algorithm ("bspline" and "affine" have grids instead). "nested", for thin-plate splines only: the next
-        control point is always the source point farthest from those so far, so the models are nested and all counts
-        are scored at once. The default is "lloyd" with one weight of smoothing and "nested" with several.
+        Placement of control points. "lloyd": separately for every count, over the region that the source points
+        cover, by Lloyd's algorithm ("bspline" and "affine" have grids instead). "nested", for thin-plate splines
+        only: the next control point is always the source point farthest from those so far, so the models are nested
+        and all counts are scored at once. The default is "lloyd" with one weight and "nested" with several weights.
     smoothing : float, list of float or "auto", default 0
         Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
         warp, in the limit an affine map or a homography. Of several weights, the best is selected together with the

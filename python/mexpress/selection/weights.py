@@ -25,7 +25,7 @@ the domain, and 0.3 n a / l^2 for the shortest waves of l control points. Weight
 
 
 def several_weights(smoothing: float | ArrayLike | str) -> bool:
-    """Tell whether there is more than one weight to try."""
+    """Return whether there is more than one weight to try."""
     return len(smoothing_weights(smoothing, 1, 1.0, 1)) > 1
 
 
@@ -56,7 +56,7 @@ def largest_automatic_count(n: int, functions: int) -> int:
 
 
 def is_automatic(smoothing: Any) -> bool:
-    """Tell whether the weight is "auto"."""
+    """Return whether the weight is "auto"."""
     return isinstance(smoothing, str) and smoothing == AUTO
 
 
