@@ -183,8 +183,9 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
 
 SURFACE = """
         from mexpress.criteria import Scorer
-        from designs import nested_surface_design
         from mexpress.leastsquares.nested import Nested
+        from mexpress.models import NestedBasis
+        from mexpress.selection.data import Samples
         points = rng.uniform(0, 1000, (60_000, 2))
         values = np.sin(points[:, 0] / 100) + 0.1 * rng.normal(size=60_000)
 """
@@ -257,14 +258,14 @@ LONG = {
     """,
     "a surface's neighbourhoods": f"""
         {SURFACE}
-        design = nested_surface_design(points, values, points[:150])
+        design = Samples.of(points, values).design(NestedBasis(points[:150]))
         nested = Nested(design.A, design.b, threads=2)
         scorer = Scorer.of(["ER20", "NN25PCT"], points, nested=True)
         call = lambda: scorer.curves(nested, np.arange(3, 151), 2)
     """,
     "a surface's folds": f"""
         {SURFACE}
-        design = nested_surface_design(points, values, points[:300])
+        design = Samples.of(points, values).design(NestedBasis(points[:300]))
         nested = Nested(design.A, design.b, threads=2)
         scorer = Scorer.of(["KF1000", "PRESS"], points, nested=True)
         call = lambda: scorer.curves(nested, np.arange(3, 301), 2)
