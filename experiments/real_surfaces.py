@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import mexpress as mx
+from mexpress.geometry import diagonal
 from mexpress.io.clouds import read_cloud
 from mexpress.models.nested_errors import nested_errors
 
@@ -43,7 +44,7 @@ class Parts:
 
 def in_holes(points, random):
     """Return which points are in discs around some of them."""
-    radius = RADIUS * np.hypot(*np.ptp(points, axis=0))
+    radius = RADIUS * diagonal(points)
     inside = np.zeros(len(points), dtype=bool)
     centres = np.empty((0, 2))
     for centre in points[random.permutation(len(points))]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats
+from mexpress.geometry import nearest
 from mexpress.paper.contours import Rings, transferred
 from mexpress.paper.table2_cells import Cell
 from mexpress.paper.transfer import Trial
@@ -155,7 +156,7 @@ def _draw_part(
     _draw_target(axes, judged, contours, image)
     truth = np.vstack(judged.problem.target_contour)
     drawn = [np.vstack(rings) for name, rings in contours.items() if name != "FIT"] or [truth]
-    distances = [np.hypot(*(truth[:, None] - points).transpose(2, 0, 1)).min(axis=1) for points in drawn]
+    distances = [nearest(truth, points)[1] for points in drawn]
     farthest = np.max(distances, axis=0)
     centre, size = truth[farthest.argmax()], float(np.ptp(truth, axis=0).max())
     half = float(np.clip(5 * farthest.max(), *np.multiply(_PART, size / 2)))

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import diagonal
 from mexpress.plotting import rasters
 from mexpress.plotting.figures import BLUE, ORANGE, RED, YELLOW, PathLike, frame, new_figure, saved
 
@@ -224,7 +225,7 @@ def _draw_errors(axes: Axes, predicted: Floats, target: Floats) -> float:
     known = np.isfinite(predicted).all(axis=1)
     errors, predicted = (target - predicted)[known], predicted[known]
     usual = float(np.percentile(np.hypot(*errors.T), 90)) if known.any() else 0.0
-    size = float(np.hypot(*np.ptp(target, axis=0)))
+    size = diagonal(target)
     # Rounding errors are not worth magnifying.
     factor = _round_number(0.03 * size / usual) if usual > 1e-9 * size else 1.0
     axes.quiver(
