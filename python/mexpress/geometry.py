@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
@@ -20,7 +20,7 @@ EDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The convex region that points cover, computed once; numpy converts it to its corners, (k, 2).
+    """The convex region that points cover, computed once.
 
     Examples
     --------
@@ -35,9 +35,6 @@ class Region:
     def of(cls, points: ArrayLike | Region, name: str = "points") -> Region:
         """Return the region that points cover, or the region itself."""
         return points if isinstance(points, Region) else cls(covered_region(points, name))
-
-    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
-        return np.array(self.corners, dtype=dtype, copy=copy)
 
     @cached_property
     def area(self) -> float:

@@ -767,3 +767,10 @@ def test_rows_of_zeros_are_not_taken_for_changed_ones():
         cv = mx.LeastSquares(A, b).cross_validate(mx.schemes.leave_one_out(30))
     assert cv.undefined.tolist() == [10]
     assert np.isfinite(np.delete(cv.residuals, 10)).all()
+
+
+def test_the_old_way_to_orthonormal_designs_still_works_and_says_so():
+    Q = np.full((4, 1), 0.5)
+    with pytest.warns(DeprecationWarning, match="orthonormal is internal"):
+        model = mx.LeastSquares.orthonormal(Q, np.arange(4.0), 1, np.zeros((0, 1)))
+    np.testing.assert_allclose(model.coefficients, [3.0])

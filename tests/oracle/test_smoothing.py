@@ -467,3 +467,17 @@ def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
     mx.select_warp(SOURCE, TARGET, "CMPRESS", smoothing="auto")
     assert len(most) == 20  # of the larger design; the smaller one has nothing to bend
     assert max(most) <= 2
+
+
+def test_automatic_weights_suit_the_wished_counts_of_warps_and_the_placed_ones_of_surfaces():
+    source = np.vstack([SOURCE, SOURCE[:10]])
+    target, n = np.vstack([TARGET, TARGET[:10] + 0.1]), N + 10
+    warps, surfaces = (
+        mx.select_warp(source, target, smoothing="auto"),
+        mx.select_surface(source, target, smoothing="auto"),
+    )
+    assert warps.counts[-1] == surfaces.counts[-1] == N
+    for selection, count in ((warps, n), (surfaces, N)):
+        np.testing.assert_array_equal(
+            selection.weights, smoothing_weights("auto", n, area(covered_region(source)), count)
+        )

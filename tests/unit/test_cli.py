@@ -442,7 +442,7 @@ def commands_in_help(text):
 def test_commands_have_an_order_of_their_own(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
-    assert commands_in_help(capsys.readouterr().out) == ["apply", "reproduce", "surface", "warp"]
+    assert commands_in_help(capsys.readouterr().out) == ["warp", "surface", "apply", "reproduce"]
 
 
 @pytest.mark.usefixtures("commands_of_others")
@@ -451,7 +451,7 @@ def test_other_packages_have_commands_and_a_broken_one_costs_no_other(run, match
         main(["--help"])
     captured = capsys.readouterr()
     assert left.value.code == 0
-    assert commands_in_help(captured.out) == ["apply", "reproduce", "surface", "warp", "shout"]
+    assert commands_in_help(captured.out) == ["warp", "surface", "apply", "reproduce", "shout"]
     assert captured.err.splitlines()[0] == (
         "mexpress: no command broken. ModuleNotFoundError: No module named 'acme_that_is_gone'"
     )

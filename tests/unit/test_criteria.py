@@ -278,3 +278,14 @@ def test_the_old_name_of_the_scorer_still_works_and_says_so():
     assert judge is Scorer
     with pytest.raises(AttributeError, match="no attribute 'Jury'"):
         mx.criteria.Jury  # noqa: B018
+
+
+def test_points_of_a_scorer_may_be_lists_and_must_be_finite():
+    points = np.random.default_rng(0).uniform(size=(30, 2))
+    model = mx.LeastSquares(np.column_stack([np.ones(30), points]), points[:, 0] ** 2)
+    expected = Scorer.of(["ER20"], points).scores(model)["ER20"].value
+    assert Scorer.of(["ER20"], points.tolist()).scores(model)["ER20"].value == expected
+    with pytest.raises(
+        ValueError, match=r"^Invalid points\. Its entries must be finite\. Given nan at row 3, column 1"
+    ):
+        Scorer.of(["ER20"], np.where(np.arange(60).reshape(30, 2) == 7, np.nan, points))

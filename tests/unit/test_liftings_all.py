@@ -11,7 +11,7 @@ from refits import Problem, worst_error
 from test_liftings import scattered
 
 import mexpress as mx
-from mexpress.liftings import LIFTINGS, Lifting, ThinPlateSpline, make_lifting, register
+from mexpress.liftings import LIFTINGS, BSpline, Lifting, ThinPlateSpline, make_lifting, register
 
 NAMES = ["tps", "bspline", "affine"]
 WIDTH, HEIGHT = 640.0, 480.0
@@ -486,3 +486,41 @@ def test_names_that_are_taken_and_classes_that_are_no_liftings_are_refused():
 def test_what_a_lifting_lacks_is_an_error_when_it_is_made():
     with pytest.raises(TypeError, match="abstract"):
         type("Half", (Lifting,), {"name": "half", "basis": Cone.basis})(scattered(4))
+
+
+class Spread(BSpline):
+    """B-splines with their functions in another order and a grid of their own, both by methods that others bypass."""
+
+    name = "spread"
+
+    def basis(self, points):  # noqa: D102
+        return super().basis(points)[:, ::-1]
+
+    def values(self, points, parameters):  # noqa: D102
+        return super().values(points, parameters[::-1])
+
+    def bending(self):  # noqa: D102
+        return super().bending()[:, ::-1]
+
+    @classmethod
+    def place(cls, points, count, seed=0, threads=None):  # noqa: D102
+        # What users may do to an array of corners.
+        low, high = points.min(axis=0), np.vstack([points, points[:1]]).max(axis=0)
+        return BSpline.place([low, high, [low[0], high[1]]], count, seed, threads)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, "auto"])
+def test_a_basis_and_a_place_of_ones_own_are_those_that_are_used(smoothing):
+    register(Spread)
+    try:
+        source = positions(80)
+        target = source + 5 * np.sin(source / 60)
+        own, ours = (
+            mx.select_warp(source, target, lifting=name, counts=[16, 20], smoothing=smoothing)
+            for name in ("spread", "bspline")
+        )
+        np.testing.assert_allclose(own.curves["FIT"], ours.curves["FIT"], rtol=1e-6)
+        np.testing.assert_allclose(own.warp(source), ours.warp(source), rtol=0, atol=1e-6)
+        assert len(own.suspects().scores) == 80
+    finally:
+        LIFTINGS.pop("spread", None)

@@ -408,8 +408,7 @@ def header(**changes):
 )
 def test_archives_without_a_model_are_an_error(arrays, tmp_path):
     archive(tmp_path / "bad.npz", **arrays)
-    rule = r"(It must name a saved model|The file must hold arrays of numbers)"
-    with pytest.raises(ValueError, match=rf"Invalid path\. {rule}\. Given "):
+    with pytest.raises(ValueError, match=r"Invalid path\. It must name a saved model\. Given "):
         load(tmp_path / "bad.npz")
 
 

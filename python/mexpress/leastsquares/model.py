@@ -162,6 +162,12 @@ class LeastSquares:
         model._keep(problem, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
         return model
 
+    @classmethod
+    def orthonormal(cls, *given: Any, **named: Any) -> LeastSquares:
+        """Do what is internal now; deprecated."""
+        warnings.warn("LeastSquares.orthonormal is internal now.", DeprecationWarning, stacklevel=2)
+        return cls._from_orthonormal(*given, **named)
+
     def _keep(self, problem: Problem, factor: _core.Factor) -> None:
         flat = problem.responses.ndim == 1
         residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)

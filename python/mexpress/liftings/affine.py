@@ -90,9 +90,7 @@ class PiecewiseAffine(SparseLifting):
         return [3, *(count for count in grid_counts(region, largest) if count <= largest)]
 
     @classmethod
-    def place(
-        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
-    ) -> Floats:
+    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
         """Return the grid over the bounding box of the points with the number nearest to a count, (l, 2).
 
         The triangle of three control points contains the box, so all points are inside. Nothing is random.
@@ -102,10 +100,12 @@ class PiecewiseAffine(SparseLifting):
         >>> PiecewiseAffine.place([[0, 0], [4, 0], [4, 2], [0, 2]], 3)
         array([[0., 0.], [8., 0.], [0., 4.]])
         """
-        if check.count(count, "count", 3) > 3:
-            return grid(points, count)
-        corners = Region.of(points).corners
-        return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
+        return _place(Region.of(points), count)
+
+    @classmethod
+    def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+        """Return the control points of `place` over a known region."""
+        return _place(region, count)
 
     def entries(self, points: Floats, along: int | None = None) -> Entries:
         """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
@@ -163,6 +163,13 @@ class PiecewiseAffine(SparseLifting):
         for end in range(2):
             triangles[self._mesh.corners[triangle, (side + end) % 3], end] = triangle
         return triangles
+
+
+def _place(region: Region, count: int) -> Floats:
+    if check.count(count, "count", 3) > 3:
+        return grid(region, count)
+    corners = region.corners
+    return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
 
 
 def _nearest(points: Floats, start: Floats, edges: Floats) -> tuple[Indices, Floats, Floats]:

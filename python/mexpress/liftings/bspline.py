@@ -108,9 +108,7 @@ class BSpline(SparseLifting):
         return grid_counts(region, largest, ring=1)
 
     @classmethod
-    def place(
-        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
-    ) -> Floats:
+    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
         """Return the grid whose span is the bounding box of the points, with the number nearest to a count, (l, 2).
 
         The cells are as square as possible. Nothing is random.
@@ -121,6 +119,11 @@ class BSpline(SparseLifting):
         array([[-4., -2.], [ 0., -2.], [ 4., -2.], [ 8., -2.], [-4.,  0.]])
         """
         return grid(points, count, ring=1)
+
+    @classmethod
+    def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+        """Return the control points of `place` over a known region."""
+        return grid(region, count, ring=1)
 
     def entries(self, points: Floats, along: int | None = None) -> Entries:
         """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""

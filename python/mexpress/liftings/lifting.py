@@ -54,6 +54,12 @@ class Lifting(ABC):
     control_points: Floats
     name: ClassVar[str]
 
+    def __init_subclass__(cls) -> None:
+        # A class that has a `basis` or a `place` of its own means it wherever ours are bypassed by what checks no more.
+        for checked, trusted in (("basis", "at"), ("place", "place_over")):
+            if checked in vars(cls) and trusted not in vars(cls):
+                setattr(cls, trusted, vars(Lifting)[trusted])
+
     def __post_init__(self) -> None:
         points = check.points(self.control_points, "control_points").copy()
         check_spread(points)
@@ -213,15 +219,13 @@ class Lifting(ABC):
         return list(range(3, max(3, largest) + 1))
 
     @classmethod
-    def place(
-        cls, points: ArrayLike | Region, count: int, seed: int = 0, threads: int | None = None
-    ) -> Floats:
+    def place(cls, points: ArrayLike, count: int, seed: int = 0, threads: int | None = None) -> Floats:
         """Return control points over the region that the data cover.
 
         Parameters
         ----------
-        points : array_like, (n, 2), or Region
-            Positions of the data, or the region that they cover.
+        points : array_like, (n, 2)
+            Positions of the data, or only the corners of their convex hull.
         count : int
             Desired number of control points; exact if it is one of `counts`.
         seed : int
@@ -241,6 +245,11 @@ class Lifting(ABC):
         (5, 2)
         """
         return lloyd(points, count, seed, threads)
+
+    @classmethod
+    def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+        """Return the control points of `place` over a known region; a class whose `place` finds it overrides this."""
+        return cls.place(region.corners, count, seed, threads)
 
 
 LIFTINGS: dict[str, type[Lifting]] = {}

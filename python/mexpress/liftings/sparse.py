@@ -60,7 +60,7 @@ class SparseLifting(Lifting):
 
     def basis(self, points: ArrayLike) -> Floats:
         """Return the l functions at n points, (n, l)."""
-        return self.at(check.points(points, "points"))
+        return self._dense(check.points(points, "points"))
 
     def at(self, points: Floats) -> Floats:
         """Return the basis at checked points, (n, l)."""

@@ -8,7 +8,9 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import Region
 from mexpress.liftings.lifting import Lifting, blocks, register
+from mexpress.placement import lloyd
 
 
 @register
@@ -43,11 +45,16 @@ class ThinPlateSpline(Lifting):
 
     def basis(self, points: ArrayLike) -> Floats:
         """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others."""
-        return self.at(check.points(points, "points"))
+        return self.values(check.points(points, "points"), np.eye(len(self.control_points)))
 
     def at(self, points: Floats) -> Floats:
         """Return the basis at checked points, (n, l)."""
         return self.values(points, np.eye(len(self.control_points)))
+
+    @classmethod
+    def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
+        """Return the control points of `place` over a known region."""
+        return lloyd(region, count, seed, threads)
 
     def derivatives(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the l cardinal functions along x and y at n points, (n, l, 2).

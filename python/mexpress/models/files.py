@@ -64,7 +64,10 @@ def load(path: str | os.PathLike[str]) -> Any:
     ...     load(f"{folder}/warp.npz")
     Warp(fractional tps, 3 control points)
     """
-    arrays = read_arrays(Path(path), "path")
+    try:
+        arrays = read_arrays(Path(path), "path")
+    except ValueError as error:
+        raise _invalid(path, f"a file that is no archive of arrays: {error}") from error
     try:
         name, version, kind = str(arrays["format"]), int(arrays["version"]), str(arrays["kind"])
     except (KeyError, TypeError, ValueError) as error:

@@ -94,6 +94,8 @@ class Candidates(Generic[ModelT]):
         lifting is a thin-plate spline. None if every count has its own control points.
     smoothing : float, list of float, or "auto"
         Weights of the bending energy.
+    placed : bool
+        Whether automatic weights suit the largest number of control points that was placed, not that was wished.
     """
 
     lifting: type[Lifting]
@@ -102,6 +104,7 @@ class Candidates(Generic[ModelT]):
     largest: int
     order: Callable[[int], Integers] | None
     smoothing: float | ArrayLike | str
+    placed: bool = False
 
     def select(
         self, request: CriteriaRequest, label: str | None
@@ -119,14 +122,14 @@ class Candidates(Generic[ModelT]):
             if self.counts is None
             else self.counts.tolist()
         )
-        ordered = None
+        ordered, wished = None, tried[-1]
         if self.order is not None:
             ordered = data.points[self.order(tried[-1])]
             tried = sorted({min(count, len(ordered)) for count in tried})
         if automatic and self.counts is None:
             tried = sorted({tried[0], tried[-1]})
         n = len(data.points)
-        weights = smoothing_weights(self.smoothing, n, data.domain.area, tried[-1])
+        weights = smoothing_weights(self.smoothing, n, data.domain.area, tried[-1] if self.placed else wished)
         nested = ordered is not None and len(tried) > _FEW
         name, scorer = request.scorer(nested)
         liftings = [] if nested else self._liftings(request, tried, ordered)
@@ -145,7 +148,7 @@ class Candidates(Generic[ModelT]):
         if ordered is not None:
             return [self.lifting(ordered[:count]) for count in counts]
         where, seed, threads = request.data.domain, request.seed, request.threads
-        placed = (self.lifting.place(where, count, seed, threads) for count in counts)
+        placed = (self.lifting.place_over(where, count, seed, threads) for count in counts)
         by_count = {len(control_points): control_points for control_points in placed}
         return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
 

@@ -47,14 +47,16 @@ class Matches:
     image_size: tuple[float, float] | None
 
     @classmethod
-    def of(cls, source: ArrayLike, target: ArrayLike, image_size: Any = None) -> Matches:
+    def of(
+        cls, source: ArrayLike, target: ArrayLike, image_size: Any = None, weights: ArrayLike | None = None
+    ) -> Matches:
         """Check matches: n pairs of finite points, with source points that are not on a line."""
         source, target = check.points(source, "source"), check.points(target, "target")
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)}")
         size = check.image_size(image_size)
-        return cls(source, target, None, Region(hull(source, "source")), size)
+        return cls(source, target, _weights(weights), Region(hull(source, "source")), size)
 
     def __repr__(self) -> str:
         return f"Matches({len(self.source)} matches, diagonal {self.diagonal:g})"
@@ -110,11 +112,11 @@ class Samples:
     domain: Region
 
     @classmethod
-    def of(cls, points: ArrayLike, values: ArrayLike) -> Samples:
+    def of(cls, points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None) -> Samples:
         """Check data: n finite points that are not on a line, with a value each."""
         points = check.points(points, "points")
         values = check.columns(values, "values", len(points))
-        return cls(points, values, None, Region(hull(points, "points")))
+        return cls(points, values, _weights(weights), Region(hull(points, "points")))
 
     def __repr__(self) -> str:
         return f"Samples({len(self.points)} data, diagonal {self.diagonal:g})"
@@ -127,6 +129,10 @@ class Samples:
     def design(self, basis: Basis) -> Design[Surface]:
         """Write the fit of a surface as a least-squares problem."""
         return linear_design(basis, self.points, self.values, self.domain, Surface).weighted(self.weights)
+
+
+def _weights(weights: ArrayLike | None) -> Floats | None:
+    return None if weights is None else check.finite(check.real(weights, "weights"), "weights")
 
 
 Data: TypeAlias = Matches | Samples

@@ -213,7 +213,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         most = max(4, min(len(data.points) // 3, self._most_flexible_count))
         counts = lifting.counts(data.domain.corners, most)
         few = sorted({counts[0], counts[len(counts) // 3], counts[-1]})
-        bases = [CardinalBasis(lifting(lifting.place(data.domain, count, 0, threads))) for count in few]
+        bases = [CardinalBasis(lifting(lifting.place_over(data.domain, count, 0, threads))) for count in few]
         unit = diagonal(data.points) ** 2
         pairs = [
             (design, float(unit * stiffness))

@@ -169,7 +169,9 @@ def select_surface(
         ),
         "nested": partial(farthest_order, data.points),
     }
-    candidates = Candidates(functions, data.design, None, min(most, n), orders.get(spread), smoothing)
+    candidates = Candidates(
+        functions, data.design, None, min(most, n), orders.get(spread), smoothing, placed=True
+    )
     request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads)
     selection, sweep, ordered = candidates.select(request, "surface" if progress else None)
     surface = sweep.model(*selection.place)
