@@ -18,8 +18,8 @@ from mexpress.cli.common import Parser, UsageError, warn
 __all__ = ["main"]
 
 
-_ORDER = {"warp": 0, "surface": 1, "apply": 2, "reproduce": 3}
-"""Commands in the order of their use."""
+_ORDER = ["warp", "surface", "apply", "reproduce"]
+"""Our commands, as help lists them."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -92,9 +92,9 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def _wanted(words: Sequence[str]) -> list[EntryPoint]:
     """Return the command that the first word names, for which no other is imported; else all, ours first."""
     every = entry_points(group="mexpress.commands")
-    ours, others = [], []
-    for point in every:
-        (ours if point.module.startswith("mexpress.") else others).append(point)
-    ours.sort(key=lambda point: _ORDER[point.name])
-    points = ours + sorted(others, key=lambda point: point.name)
+    ours = [point for point in every if point.module.startswith("mexpress.")]
+    others = [point for point in every if point not in ours]
+    points = sorted(ours, key=lambda point: _ORDER.index(point.name)) + sorted(
+        others, key=lambda point: point.name
+    )
     return [point for point in points if point.name in words[:1]] or points
