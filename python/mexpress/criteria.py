@@ -335,7 +335,7 @@ class Scorer:
         Scorer(pairs)
         """
         check.generator(seed)
-        points = check.points(points, "points")
+        points = check.points(points, "points", dimension=None)
         size = _diagonal(points) if diagonal is None else diagonal
         return cls.over(criteria, Domain(points, size, None, seed, check.threads(threads)), nested)
 
