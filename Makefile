@@ -16,7 +16,7 @@ demo: $(VENV)/demo ## Register a stereo pair, and fit a surface to terrain; see 
 
 test: $(VENV)/test ## Run the tests, of Rust and of Python, but for those that take long
 	cargo test --release --locked --quiet
-	$(BIN)/python -m pytest -m "not slow and not paper" --hypothesis-profile fast
+	$(BIN)/python -m pytest -m "not slow and not paper" --hypothesis-profile fast -n logical
 
 test-rest: $(VENV)/test ## Run what `make test` leaves out: slow tests, the paper's, more random examples
 	$(BIN)/python -m pytest -m "slow or paper or hypothesis" --hypothesis-profile ci
