@@ -99,7 +99,7 @@ def models(setting: Setting) -> None:
     points = rng.random((n, 2))
     b = np.sin(5 * points[:, 0]) * np.cos(4 * points[:, 1]) + 0.1 * rng.standard_normal(n)
     scheme = mx.schemes.exclusion_radius(points, 0.1 * np.sqrt(2))
-    control_points = mx.select_surface(points, b, "FIT", ["FIT"], p).control_points
+    control_points = mx.select_surface(points, b, "FIT", ["FIT"], p, smoothing=0).control_points
     designs = {
         "random": rng.standard_normal((n, p)),
         "thin-plate spline": Samples.of(points, b).design(NestedBasis(control_points)).A,
@@ -168,7 +168,9 @@ def surface(setting: Setting) -> None:
     show_sweeps(f"{source}, n = {len(points):,}, l = {counts[0]} .. {counts[-1]}", runs, product)
     schemes = Scorer.of(LOCAL, points).schemes
     show_work(schemes, counts[-1], len(points), runs, product)
-    control_points = mx.select_surface(points, values, "FIT", ["FIT"], setting.most).control_points
+    control_points = mx.select_surface(
+        points, values, "FIT", ["FIT"], setting.most, smoothing=0
+    ).control_points
     A = Samples.of(points, values).design(NestedBasis(control_points)).A
     # In a hole of the training rows, predictions of the largest models have fewer digits; real data have such holes.
     problem = Problem(A, values, schemes, np.array(counts), 1e-4 if setting.data else 1e-7)

@@ -126,18 +126,24 @@ def batches(setting: Setting) -> None:
     }
 
     def alone(pairs: list[tuple[np.ndarray, ...]], threads: int) -> list[mx.WarpSelection]:
-        return [mx.select_warp(*matches, **options, threads=threads) for matches in pairs]
+        return [mx.select_warp(*matches, **options, threads=threads, smoothing=0) for matches in pairs]
 
     def by_threads(pairs: list[tuple[np.ndarray, ...]]) -> list[mx.WarpSelection]:
         with ThreadPoolExecutor(CORES) as pool:
-            return list(pool.map(lambda matches: mx.select_warp(*matches, **options, threads=1), pairs))
+            return list(
+                pool.map(lambda matches: mx.select_warp(*matches, **options, threads=1, smoothing=0), pairs)
+            )
 
     ways: dict[str, Callable[[list[tuple[np.ndarray, ...]]], list[mx.WarpSelection]]] = {
         "one thread": lambda pairs: alone(pairs, 1),
         f"{CORES} threads inside": lambda pairs: alone(pairs, CORES),
         f"{CORES} threads of Python": by_threads,
         f"map_problems, {CORES} processes": lambda pairs: mx.map_problems(
-            mx.select_warp, pairs, CORES, **options
+            mx.select_warp,
+            pairs,
+            CORES,
+            **options,
+            smoothing=0,
         ),
     }
     rows = []

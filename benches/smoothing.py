@@ -45,13 +45,13 @@ def time_map() -> None:
             source, target, criteria=CRITERIA, counts=COUNTS, image_size=(640, 480), **options
         )
 
-    before = [timed(sweep(placement="nested")) for _ in range(3)]
+    before = [timed(sweep(placement="nested", smoothing=0)) for _ in range(3)]
     whole = timed(sweep(placement="nested", smoothing=weights))
-    plain = float(np.median(before + [timed(sweep(placement="nested")) for _ in range(3)]))
+    plain = float(np.median(before + [timed(sweep(placement="nested", smoothing=0)) for _ in range(3)]))
     print(
         f"{len(COUNTS)} counts {plain:.2f} s, x {len(weights)} weights {whole:.2f} s: {whole / plain:.1f} plain sweeps"
     )
-    print(f"Lloyd's placement, {len(COUNTS)} counts {timed(sweep(placement='lloyd')):.2f} s")
+    print(f"Lloyd's placement, {len(COUNTS)} counts {timed(sweep(placement='lloyd', smoothing=0)):.2f} s")
 
 
 def time_auto() -> None:
@@ -70,8 +70,8 @@ def compare_placements(number: int) -> None:
         data = [simulation.correspondences(every[k], n, noise=1.0, seed=int(k)) for k in chosen]
         smoothed = {"smoothing": "auto", "criterion": "CMPRESS"}
         settings = {
-            "no smoothing, Lloyd": {"criterion": "CMPRESS", "placement": "lloyd"},
-            "no smoothing, nested": {"criterion": "CMPRESS", "placement": "nested"},
+            "no smoothing, Lloyd": {"criterion": "CMPRESS", "placement": "lloyd", "smoothing": 0},
+            "no smoothing, nested": {"criterion": "CMPRESS", "placement": "nested", "smoothing": 0},
             "smoothing auto, Lloyd": {**smoothed, "placement": "lloyd"},
             "smoothing auto, nested": smoothed,
             "smoothing auto, nested, every count": {**smoothed, "counts": range(3, n + 1)},

@@ -128,7 +128,13 @@ def run(options):
     data = cloud.points[parts.fitted], cloud.values[parts.fitted]
     start, used = time.perf_counter(), time.process_time()
     selection = mx.select_surface(
-        *data, "FIT", options.criteria.split(","), options.max_count, seed=options.seed, progress=True
+        *data,
+        "FIT",
+        options.criteria.split(","),
+        options.max_count,
+        seed=options.seed,
+        progress=True,
+        smoothing=0,
     )
     seconds, used = time.perf_counter() - start, time.process_time() - used
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * BYTES / 2**20

@@ -37,7 +37,8 @@ def nested(A=A, b=B, sizes=(1, 3), schemes=None, coupling=1, **options):
 
 def select(points=POINTS, values=TARGET, **options):
     """Select a surface of up to six control points."""
-    return mx.select_surface(points, values, **{"criterion": "NN02PTS", "max_count": 6, **options})
+    usual = {"criterion": "NN02PTS", "max_count": 6, "smoothing": 0}
+    return mx.select_surface(points, values, **(usual | options))
 
 
 FORM = re.compile(r"^Invalid [\w\[\]]+\. .+ Given .*\.$", re.DOTALL)
@@ -77,12 +78,12 @@ ARRAYS = {
     "select_warp source": (
         "source",
         POINTS,
-        lambda x: mx.select_warp(x, TARGET, counts=[3, 4]).curves["ER10"],
+        lambda x: mx.select_warp(x, TARGET, counts=[3, 4], smoothing=0).curves["ER10"],
     ),
     "select_warp target": (
         "target",
         TARGET,
-        lambda x: mx.select_warp(POINTS, x, counts=[3, 4]).curves["ER10"],
+        lambda x: mx.select_warp(POINTS, x, counts=[3, 4], smoothing=0).curves["ER10"],
     ),
     "select_warp smoothing": (
         "smoothing",
@@ -175,7 +176,10 @@ INDICES = {
     "from_sets validated": ("validated", lambda x: s.from_sets([range(N)], [x], n=N).validated.indices),
     "from_splits test": ("test", lambda x: s.from_splits([([], x)], n=N).validated.indices),
     "from_splits train": ("train", lambda x: s.from_splits([(x, [])], n=N).held_out.indices),
-    "select_warp counts": ("counts", lambda x: mx.select_warp(POINTS, TARGET, "NN02PTS", counts=x).counts),
+    "select_warp counts": (
+        "counts",
+        lambda x: mx.select_warp(POINTS, TARGET, "NN02PTS", counts=x, smoothing=0).counts,
+    ),
 }
 
 BAD_INDICES = [
@@ -227,7 +231,7 @@ NUMBERS = {
     "select_warp threads": (
         "threads",
         2,
-        lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x).curves["ER10"],
+        lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x, smoothing=0).curves["ER10"],
     ),
     "cross_validate_nested coupling": ("coupling", 2, lambda x: nested(schemes=HALF, coupling=x)),
     "cross_validate_nested threads": ("threads", 2, lambda x: nested(threads=x)),

@@ -20,7 +20,13 @@ def main() -> None:
 
     def select(count: int, most: int) -> mx.SurfaceSelection:
         return mx.select_surface(
-            points[:count], values[:count], criteria[0], criteria, most, threads=int(threads)
+            points[:count],
+            values[:count],
+            criteria[0],
+            criteria,
+            most,
+            threads=int(threads),
+            smoothing=0,
         )
 
     select(500, 10)  # threads and code are there afterwards

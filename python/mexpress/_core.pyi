@@ -34,7 +34,13 @@ class Factor:
         threads: int,
     ) -> Factor: ...
     @staticmethod
-    def orthonormal(design: _Floats, responses: _Floats, penalty: _Floats, threads: int) -> Factor: ...
+    def orthonormal(
+        design: _Floats,
+        responses: _Floats,
+        penalty: _Floats,
+        threads: int,
+        root_weights: _Floats | None = None,
+    ) -> Factor: ...
     @property
     def rank(self) -> int: ...
     @property

@@ -9,7 +9,8 @@ ERxx                    local exclusion of all data within xx % of the diagonal,
 NNxxPTS, NNxxPCT        local exclusion of the xx nearest data, or xx % of the data, including the datum itself
 DELAUNAY                local exclusion of the neighbours in the Delaunay triangulation
 MATCHED                 local exclusion of just enough nearest data that a validated datum is as far from its training
-                        data as a typical place of the region is from the data: `mexpress.schemes.matched`
+                        data as a typical query is from the data: `mexpress.schemes.matched`. Queries are far ones
+                        that a selection is told of, else places all over the region of the data
 LPOxx                   all sets of xx data, or 1000 random ones if there are more
 RSxxPCT                 random xx % of the data, 100 times
 AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) as the number of parameters
@@ -90,6 +91,8 @@ class Domain:
         Seed of the random schemes.
     threads : int
         Largest number of threads.
+    queries : (q, 2) array, optional
+        Positions where the model will be used, for MATCHED; all over the region by default.
 
     Examples
     --------
@@ -102,6 +105,7 @@ class Domain:
     region: Region | None = None
     seed: Any = 0
     threads: int = 1
+    queries: Floats | None = None
 
     @cached_property
     def places(self) -> Places:
@@ -115,9 +119,11 @@ def _share(percent: float, n: int) -> int:
 
 
 def _matched(domain: Domain) -> Scheme:
-    """The scheme of `mexpress.schemes.matched` with queries all over the region that the data cover."""
-    region = domain.region or Region(hull(domain.points, "points"))
-    queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
+    """The scheme of `mexpress.schemes.matched`, by default with queries all over the region that the data cover."""
+    queries = domain.queries
+    if queries is None:
+        region = domain.region or Region(hull(domain.points, "points"))
+        queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
     return domain.places.matched(queries, threads=domain.threads)
 
 

@@ -64,6 +64,14 @@ class IndexSets(Sequence[Integers]):
     def __repr__(self) -> str:
         return f"IndexSets({len(self)} sets, {len(self.indices)} indices)"
 
+    def restricted(self, some: Integers, n: int) -> IndexSets:
+        """Sets of places among some of n indices, which increase; other indices are no members."""
+        places = np.full(n, -1)
+        places[some] = np.arange(len(some))
+        members = places[self.indices]
+        counts = np.concatenate([[0], np.cumsum(members >= 0)])
+        return IndexSets(counts[self.offsets], members[members >= 0])
+
 
 def compress(sets: Iterable[Integers]) -> IndexSets:
     """Index sets of index arrays; each is sorted."""

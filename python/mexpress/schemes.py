@@ -115,6 +115,22 @@ class Scheme:
         span = f"{low}" if low == high else f"{low} to {high}"
         return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
 
+    def restricted(self, some: Integers) -> Scheme:
+        """Return the scheme over some of its data, (k,), increasing: the others are neither held out nor validated.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> scheme = mx.schemes.from_sets([[0, 1, 2], [1, 3]]).restricted(np.array([1, 2, 3]))
+        >>> list(scheme.held_out)
+        [array([0, 1]), array([0, 2])]
+        """
+        held = self.held_out.restricted(some, self.n_data)
+        same = self.validated is self.held_out
+        return Scheme(
+            len(some), held, held if same else self.validated.restricted(some, self.n_data), self.order
+        )
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LazyNeighbourhoods:

@@ -255,7 +255,7 @@ def test_bad_seeds(seed):
         lambda: s.k_fold(9, 3, seed),
         lambda: s.leave_p_out(9, 3, 4, seed),
         lambda: s.random_sampling(9, 3, 4, seed),
-        lambda: mx.select_warp(POINTS, TARGET, counts=[3], seed=seed),
+        lambda: mx.select_warp(POINTS, TARGET, counts=[3], seed=seed, smoothing=0),
         lambda: select(seed=seed),
     ):
         refused(call, "seed")
@@ -387,19 +387,19 @@ def test_points_that_coincide_or_lie_on_a_line():
     one_place = np.ones((N, 2))
     for points in (line, one_place):
         assert len(s.nearest(points, 4)) == len(s.exclusion_radius(points, 1)) == len(s.delaunay(points)) == N
-        refused(lambda p=points: mx.select_warp(p, TARGET), "source", ValueError)
+        refused(lambda p=points: mx.select_warp(p, TARGET, smoothing=0), "source", ValueError)
         refused(lambda p=points: mx.fit_warp(POINTS, TARGET, p[:4]), "control_points", ValueError)
     refused(lambda: mx.fit_warp(POINTS, TARGET, POINTS[[0, 1, 2, 2]]), "control_points", ValueError)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_too_few_matches(n):
-    refused(lambda: mx.select_warp(POINTS[:n], TARGET[:n]), "source", ValueError)
+    refused(lambda: mx.select_warp(POINTS[:n], TARGET[:n], smoothing=0), "source", ValueError)
 
 
 def test_matches_come_in_pairs():
     for call in (
-        lambda: mx.select_warp(POINTS, TARGET[:-1]),
+        lambda: mx.select_warp(POINTS, TARGET[:-1], smoothing=0),
         lambda: mx.fit_warp(POINTS[:-1], TARGET, POINTS[:3]),
     ):
         refused(call, "target", ValueError)
@@ -411,7 +411,7 @@ def test_points_of_the_wrong_dimension():
         refused(lambda w=wrong: s.exclusion_radius(w, 2), "points", ValueError)
     for wrong in (np.ones((N, 3)), np.ones((N, 1)), np.ones((2, N)), np.ones(N)):
         refused(lambda w=wrong: s.delaunay(w), "points", ValueError)
-        refused(lambda w=wrong: mx.select_warp(w, TARGET), "source", ValueError)
+        refused(lambda w=wrong: mx.select_warp(w, TARGET, smoothing=0), "source", ValueError)
 
 
 # -------------------------------------------------------------------------------------------------- schemes
@@ -524,22 +524,22 @@ def test_sets_of_rows_made_by_hand():
     ids=lambda x: repr(x)[:30],
 )
 def test_bad_options_of_select_warp(name, wrong):
-    options = {"counts": [3, 4], "criterion": "NN02PTS", name: wrong}
+    options = {"counts": [3, 4], "criterion": "NN02PTS", "smoothing": 0, name: wrong}
     refused(lambda: mx.select_warp(POINTS, TARGET, **options), r"(criterion|criteria|scheme|" + name + ")")
 
 
 def test_a_bad_criterion_beside_schemes_of_ones_own():
     for wrong in (["ER10"], {}, np.array(["a", "b"])):
         refused(
-            lambda w=wrong: mx.select_warp(POINTS, TARGET, w, {"mine": LOO}, counts=[3]),
+            lambda w=wrong: mx.select_warp(POINTS, TARGET, w, {"mine": LOO}, counts=[3], smoothing=0),
             "criterion",
             TypeError,
         )
 
 
 def test_more_control_points_than_matches():
-    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[N + 1]))
-    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[2**62]))
+    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[N + 1], smoothing=0))
+    refused(lambda: mx.select_warp(POINTS, TARGET, counts=[2**62], smoothing=0))
 
 
 @pytest.mark.parametrize("lifting", ["bspline", "affine"])

@@ -37,7 +37,7 @@ def work(threads=3):
     cv = model.cross_validate(scheme(), threads=threads)
     near = mx.schemes.nearest(np.random.default_rng(0).uniform(size=(2000, 2)), 5, threads=threads)
     points = np.random.default_rng(0).uniform(size=(300, 2))
-    surface = mx.select_surface(points, np.sin(9 * points[:, 0]), max_count=12, threads=threads)
+    surface = mx.select_surface(points, np.sin(9 * points[:, 0]), max_count=12, threads=threads, smoothing=0)
     arrays = (cv.residuals, model.coefficients, near.held_out.indices, *surface.curves.values())
     return b"".join(array.tobytes() for array in (*arrays, surface.surface.parameters))
 

@@ -37,7 +37,7 @@ def graf_matches(seed, n=100):
 
 def test_a_flat_scene_under_perspective_takes_three_or_four_control_points():
     chosen = [
-        mx.select_warp(*graf_matches(seed), "ER10", counts=range(3, 21), image_size=GRAF).count
+        mx.select_warp(*graf_matches(seed), "ER10", counts=range(3, 21), image_size=GRAF, smoothing=0).count
         for seed in range(30)
     ]
     print("control points chosen:", dict(zip(*np.unique(chosen, return_counts=True), strict=True)))
@@ -46,7 +46,7 @@ def test_a_flat_scene_under_perspective_takes_three_or_four_control_points():
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_flat_scene_with_all_counts_that_are_tried_by_default(seed):
-    selection = mx.select_warp(*graf_matches(seed), "ER10", image_size=GRAF)
+    selection = mx.select_warp(*graf_matches(seed), "ER10", image_size=GRAF, smoothing=0)
     assert selection.counts.tolist() == list(range(3, 51))
     assert selection.count in (3, 4)
     assert selection.selected["FIT"] > 20
@@ -55,7 +55,9 @@ def test_a_flat_scene_with_all_counts_that_are_tried_by_default(seed):
 def test_without_perspective_the_flat_scene_takes_more():
     source, target = graf_matches(0)
     fractional, plain = (
-        mx.select_warp(source, target, "ER10", counts=range(3, 21), image_size=GRAF, fractional=form)
+        mx.select_warp(
+            source, target, "ER10", counts=range(3, 21), image_size=GRAF, fractional=form, smoothing=0
+        )
         for form in (True, False)
     )
     assert plain.count > fractional.count
@@ -72,7 +74,7 @@ def test_hand_marked_points_transfer_as_well_as_by_a_homography(name, method):
     inliers = tentative[mask.ravel().astype(bool)]
     source, target = inliers[:, :2], inliers[:, 2:]
     height, width = cv2.imread(str(FLAT / f"{name}A.png")).shape[:2]
-    selection = mx.select_warp(source, target, "ER10", image_size=(width, height))
+    selection = mx.select_warp(source, target, "ER10", image_size=(width, height), smoothing=0)
     ours = np.linalg.norm(selection.warp(validation[:, :2]) - validation[:, 2:], axis=1)
     mapped = cv2.perspectiveTransform(validation[None, :, :2], H)[0]
     theirs = np.linalg.norm(mapped - validation[:, 2:], axis=1)
@@ -97,7 +99,7 @@ def test_surfaces_of_real_data(file, scale, n_valid):
     cloud = read_cloud(DATA / file, scale, max_data=2000)
     assert (len(cloud.points), cloud.n_valid) == (min(n_valid, 2000), n_valid)
     criteria = ["FIT", "PRESS", "CMPRESS", "ER05", "AIC", "BIC", "GCV"]
-    selection = mx.select_surface(cloud.points, cloud.values, "ER05", criteria, max_count=40)
+    selection = mx.select_surface(cloud.points, cloud.values, "ER05", criteria, max_count=40, smoothing=0)
     print(f"{file}: {selection.selected}")
     assert selection.counts.tolist() == list(range(3, 41))
     assert not selection.undefined

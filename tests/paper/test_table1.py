@@ -186,7 +186,14 @@ def test_one_problem_is_measured_as_its_definition_says():
     matches = simulation.correspondences(configuration, 30, seed=7)
     names = ["FIT", *CRITERIA]
     selection = mx.select_warp(
-        matches.source, matches.target, "FIT", names, counts=[3, 7, 11, 15], image_size=(1920, 1080), seed=7
+        matches.source,
+        matches.target,
+        "FIT",
+        names,
+        counts=[3, 7, 11, 15],
+        image_size=(1920, 1080),
+        seed=7,
+        smoothing=0,
     )
     assert [row[:5] for row in rows] == [(2, 5, 3, 30, count) for count in (3, 7, 11, 15)]
     for k, name in enumerate(names):

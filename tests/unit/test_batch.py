@@ -94,13 +94,13 @@ OPTIONS = {"criterion": "ER10", "criteria": CRITERIA, "image_size": (640, 480)}
 def expected():
     # The last bits of numpy's products depend on the number of its BLAS's threads, and workers have one.
     with threadpool_limits(1, "blas"):
-        yield [mx.select_warp(*matches, **OPTIONS) for matches in PROBLEMS]
+        yield [mx.select_warp(*matches, **OPTIONS, smoothing=0) for matches in PROBLEMS]
 
 
 @pytest.mark.parametrize("workers", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_results_are_those_of_a_loop_bit_for_bit(expected, workers):
     problems = [PROBLEMS[0], *({"source": a, "target": b} for a, b in PROBLEMS[1:4]), *PROBLEMS[4:]]
-    found = mx.map_problems(mx.select_warp, iter(problems), workers=workers, **OPTIONS)
+    found = mx.map_problems(mx.select_warp, iter(problems), workers=workers, **OPTIONS, smoothing=0)
     for one, other in zip(found, expected, strict=True):
         assert_equal(one, other)
 
@@ -191,7 +191,7 @@ def test_what_cannot_be_pickled():
 def test_an_error_is_raised_as_it_is_and_says_where(workers):
     problems = [PROBLEMS[1], PROBLEMS[3], (PROBLEMS[1][0], PROBLEMS[1][1] * np.nan), PROBLEMS[4]]
     with pytest.raises(ValueError, match=r"^Invalid target\. ") as caught:
-        mx.map_problems(mx.select_warp, problems, workers=workers)
+        mx.map_problems(mx.select_warp, problems, workers=workers, smoothing=0)
     in_form(caught.value)
     assert caught.value.__notes__ == ["This was problem 2 (from 0) of 4."]
     if workers == 2:
@@ -288,7 +288,7 @@ def sleep(index):
 def compute(index):
     os.write(2, f"{os.getpid()}\n".encode())
     if index:
-        mx.select_warp(*problem(3000), threads=1)
+        mx.select_warp(*problem(3000), threads=1, smoothing=0)
 
 
 def alive(pid):
@@ -371,7 +371,13 @@ def client(request):
 def test_a_client_gives_the_same(client, expected):
     seen = []
     found = mx.map_problems(
-        mx.select_warp, PROBLEMS, client=client, on_result=lambda i, _: seen.append(i), threads=1, **OPTIONS
+        mx.select_warp,
+        PROBLEMS,
+        client=client,
+        on_result=lambda i, _: seen.append(i),
+        threads=1,
+        **OPTIONS,
+        smoothing=0,
     )
     for one, other in zip(found, expected, strict=True):
         assert_equal(one, other)

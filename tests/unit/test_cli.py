@@ -17,6 +17,7 @@ from mexpress.progress import bar
 RNG = np.random.default_rng(1)
 SOURCE = RNG.uniform(0, 1, (80, 2)) * [640, 480]
 TARGET = 0.9 * SOURCE + 15 * np.sin(SOURCE[:, ::-1] / 150) + RNG.normal(0, 0.3, SOURCE.shape)
+PAPER = ("--smoothing", "0")
 SIZE = ["--image-size", "640x480"]
 
 
@@ -45,13 +46,13 @@ def model(tmp_path):
 
 
 def selected_here(**options):
-    return mx.select_warp(SOURCE, TARGET, image_size=(640, 480), **options)
+    return mx.select_warp(SOURCE, TARGET, image_size=(640, 480), **{"smoothing": 0} | options)
 
 
 def test_files_hold_what_the_library_returns(matches, run, tmp_path):
     out = tmp_path / "made" / "here"
     status, text, errors = run(
-        "warp", matches, *SIZE, "--criteria", "FIT,ER5,BIC", "--counts", "3:18", "--out", out
+        "warp", matches, *PAPER, *SIZE, "--criteria", "FIT,ER5,BIC", "--counts", "3:18", "--out", out
     )
     assert status == 0, errors
     expected = selected_here(criteria=["FIT", "ER5", "BIC"], counts=range(3, 19))
@@ -87,7 +88,7 @@ def test_options_reach_the_library(matches, run, tmp_path):
         "--threads",
         "1",
     ]
-    status, _, errors = run("warp", matches, *options, "--no-plots", "--quiet", "--out", tmp_path)
+    status, _, errors = run("warp", matches, *PAPER, *options, "--no-plots", "--quiet", "--out", tmp_path)
     assert status == 0, errors
     expected = mx.select_warp(
         SOURCE, TARGET, criterion="CMPRESS", fractional=False, counts=[3, 9, 12], smoothing=2, seed=5
@@ -105,7 +106,7 @@ def test_images(matches, run, tmp_path):
     for name, image in zip(names, images, strict=True):
         imsave(name, image)
     pair = ["--source-image", names[0], "--target-image", names[1]]
-    status, text, errors = run("warp", matches, *pair, "--counts", "3:8", "--out", tmp_path)
+    status, text, errors = run("warp", matches, *PAPER, *pair, "--counts", "3:8", "--out", tmp_path)
     assert status == 0, errors
     assert (tmp_path / "registered.png").stat().st_size > 10_000
     assert "registered.png" in text
@@ -118,7 +119,7 @@ def test_undefined_scores_are_null_and_told(run, tmp_path):
     clusters = np.vstack([SOURCE[:40] / 20, SOURCE[40:] / 20 + [600, 440]])
     write_matches(tmp_path / "m.csv", clusters, 1.1 * clusters + RNG.normal(0, 0.1, clusters.shape))
     options = ["--criteria", "FIT,CMPRESS", "--criterion", "CMPRESS", "--counts", "3:50"]
-    status, text, errors = run("warp", tmp_path / "m.csv", *options, "--quiet", "--out", tmp_path)
+    status, text, errors = run("warp", tmp_path / "m.csv", *PAPER, *options, "--quiet", "--out", tmp_path)
     said = json.loads((tmp_path / "selection.json").read_text())
     assert status == 0, errors
     assert None in said["curves"]["CMPRESS"]
@@ -128,7 +129,7 @@ def test_undefined_scores_are_null_and_told(run, tmp_path):
 
 def test_without_matplotlib_the_numbers_are_written(matches, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    status, _, errors = run("warp", matches, "--counts", "3:5", "--out", tmp_path)
+    status, _, errors = run("warp", matches, *PAPER, "--counts", "3:5", "--out", tmp_path)
     assert status == 0
     assert "pip install 'mexpress[plot]'" in errors
     assert (tmp_path / "selection.json").exists()
@@ -137,7 +138,7 @@ def test_without_matplotlib_the_numbers_are_written(matches, run, tmp_path, monk
 def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.io", None)
     pair = ["--source-image", "left.png", "--target-image", "right.png"]
-    status, _, errors = run("warp", matches, *pair, "--out", tmp_path / "out")
+    status, _, errors = run("warp", matches, *PAPER, *pair, "--out", tmp_path / "out")
     assert status == 2
     assert "pip install 'mexpress[image]'" in errors
     assert not (tmp_path / "out").exists()
@@ -170,7 +171,7 @@ def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monk
     ],
 )
 def test_bad_options_are_one_line(matches, run, tmp_path, options, says):
-    status, text, errors = run("warp", matches, *options, "--quiet", "--out", tmp_path / "out")
+    status, text, errors = run("warp", matches, *PAPER, *options, "--quiet", "--out", tmp_path / "out")
     assert (status, text) == (2, "")
     assert says in errors
     assert errors.startswith("mexpress: error: ")
@@ -193,7 +194,7 @@ def test_bad_matches_are_one_line(run, tmp_path, content, says):
     path = tmp_path / "m.csv"
     if content is not None:
         path.write_text(content)
-    status, text, errors = run("warp", path, "--quiet", "--out", tmp_path / "out")
+    status, text, errors = run("warp", path, *PAPER, "--quiet", "--out", tmp_path / "out")
     assert (status, text) == (2, "")
     assert says in errors
     assert errors.count("\n") == 1
@@ -202,14 +203,14 @@ def test_bad_matches_are_one_line(run, tmp_path, content, says):
 def test_damaged_images_are_one_line(matches, run, tmp_path):
     (tmp_path / "left.png").write_bytes(b"not a picture")
     pair = ["--source-image", tmp_path / "left.png", "--target-image", tmp_path / "left.png"]
-    status, _, errors = run("warp", matches, *pair, "--out", tmp_path / "out")
+    status, _, errors = run("warp", matches, *PAPER, *pair, "--out", tmp_path / "out")
     assert status == 2
     assert "Invalid image" in errors
     assert errors.count("\n") == 1
 
 
 def test_an_output_that_is_a_file_is_one_line(matches, run):
-    status, _, errors = run("warp", matches, "--out", matches)
+    status, _, errors = run("warp", matches, *PAPER, "--out", matches)
     assert status == 2
     assert errors.endswith("File exists\n")
 
@@ -220,7 +221,7 @@ def test_faults_of_ours_keep_their_traceback(matches, run, tmp_path, monkeypatch
 
     monkeypatch.setattr("mexpress.cli.warp.select_warp", fault)
     with pytest.raises(ValueError, match="broadcast"):
-        run("warp", matches, "--out", tmp_path)
+        run("warp", matches, *PAPER, "--out", tmp_path)
 
 
 def test_interruption_is_no_traceback(matches, run, tmp_path, monkeypatch):
@@ -228,7 +229,7 @@ def test_interruption_is_no_traceback(matches, run, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("mexpress.cli.warp.select_warp", interrupt)
-    assert run("warp", matches, "--out", tmp_path) == (130, "", "mexpress: error: interrupted\n")
+    assert run("warp", matches, *PAPER, "--out", tmp_path) == (130, "", "mexpress: error: interrupted\n")
 
 
 def test_apply_is_the_warp(run, tmp_path, model):
@@ -459,7 +460,9 @@ def test_other_packages_have_commands_and_a_broken_one_costs_no_other(run, match
     status, _, errors = run("broken")
     assert status == 2
     assert "no command broken. ModuleNotFoundError" in errors
-    status, text, errors = run("warp", matches, "--counts", "3:5", "--no-plots", "--out", tmp_path / "out")
+    status, text, errors = run(
+        "warp", matches, *PAPER, "--counts", "3:5", "--no-plots", "--out", tmp_path / "out"
+    )
     assert status == 0
     assert "80 matches" in text
     assert "no command warp. ArgumentError" in errors

@@ -16,6 +16,7 @@ ROWS, COLUMNS = np.mgrid[:30, :40]
 DEPTH = (2000 + 300 * np.sin(COLUMNS / 6) + 5 * ROWS + RNG.normal(0, 5, ROWS.shape)).astype(np.uint16)
 DEPTH[:5, :8] = 0
 SHEET = np.column_stack([RNG.uniform(0, 1, (150, 2)), RNG.uniform(0, 1, (150, 3))])
+PAPER = ("--smoothing", "0")
 FAST = ["--max-count", "12", "--criteria", "FIT,CMPRESS", "--quiet"]
 
 
@@ -53,11 +54,16 @@ def model(tmp_path):
 def test_files_hold_what_the_library_returns(depth_map, run, tmp_path):
     out = tmp_path / "made" / "here"
     options = ["--scale", "500", "--data", "400", "--criterion", "ER5", "--criteria", "FIT,AIC"]
-    status, text, errors = run("surface", depth_map, *options, "--max-count", "20", "--out", out)
+    status, text, errors = run("surface", depth_map, *PAPER, *options, "--max-count", "20", "--out", out)
     assert status == 0, errors
     cloud = read_cloud(depth_map, scale=500, max_data=400)
     expected = mx.select_surface(
-        cloud.points, cloud.values, criterion="ER5", criteria=["FIT", "AIC"], max_count=20
+        cloud.points,
+        cloud.values,
+        criterion="ER5",
+        criteria=["FIT", "AIC"],
+        max_count=20,
+        smoothing=0,
     )
     names = ["selection.json", "curves.csv", "surface.npz", "surface.ply", "surface.obj"]
     names += ["curves.png", "surface.png", "residuals.png", "control_points.png"]
@@ -100,7 +106,7 @@ def test_options_reach_the_library(sheet, run, tmp_path):
         "--unit",
         "cm",
     ]
-    status, text, errors = run("surface", sheet, *options, "--out", tmp_path / "out")
+    status, text, errors = run("surface", sheet, *PAPER, *options, "--out", tmp_path / "out")
     assert status == 0, errors
     expected = mx.select_surface(
         SHEET[:, :2],
@@ -121,14 +127,14 @@ def test_options_reach_the_library(sheet, run, tmp_path):
 
 
 def test_every_datum(depth_map, run, tmp_path):
-    status, text, errors = run("surface", depth_map, "--all", *FAST, "--no-plots", "--out", tmp_path)
+    status, text, errors = run("surface", depth_map, *PAPER, "--all", *FAST, "--no-plots", "--out", tmp_path)
     assert status == 0, errors
     assert text.startswith("1160 depths (40 more are missing)")
 
 
 def test_points_of_space_by_intrinsics(depth_map, run, tmp_path):
     camera = ["--intrinsics", "50,50,19.5,14.5"]
-    status, text, errors = run("surface", depth_map, *camera, *FAST, "--no-plots", "--out", tmp_path)
+    status, text, errors = run("surface", depth_map, *PAPER, *camera, *FAST, "--no-plots", "--out", tmp_path)
     assert status == 0, errors
     assert "1160 points in R^3" in text
     assert "; m;" in text
@@ -140,7 +146,7 @@ def test_points_of_space_by_intrinsics(depth_map, run, tmp_path):
 
 def test_values_that_have_no_place_in_space(run, tmp_path):
     np.savez(tmp_path / "d.npz", points=SHEET[:, :2], values=SHEET[:, :4])
-    status, text, errors = run("surface", tmp_path / "d.npz", *FAST, "--out", tmp_path / "out")
+    status, text, errors = run("surface", tmp_path / "d.npz", *PAPER, *FAST, "--out", tmp_path / "out")
     assert status == 0, errors
     assert "no meshes and no surface.png" in errors
     assert "surface.ply" not in text
@@ -148,7 +154,7 @@ def test_values_that_have_no_place_in_space(run, tmp_path):
 
 
 def test_what_limits_the_number_is_told(sheet, run, tmp_path):
-    command = ["surface", sheet, "--criterion", "FIT", "--no-plots", "--out", tmp_path]
+    command = ["surface", sheet, *PAPER, "--criterion", "FIT", "--no-plots", "--out", tmp_path]
     _, _, errors = run(*command, "--max-count", "9")
     assert "9 is the largest number tried: more may be better, see --max-count" in errors
     _, _, errors = run(*command, "--min-distance", "0.4")
@@ -162,7 +168,7 @@ def test_where_scores_end_is_told(run, tmp_path):
     np.savetxt(tmp_path / "c.txt", clusters)
     options = ["--min-distance", "0.001", "--max-count", "60", "--quiet", "--no-plots", "--out", tmp_path]
     status, text, errors = run(
-        "surface", tmp_path / "c.txt", *options, "--criteria", "ER2", "--criterion", "CMPRESS"
+        "surface", tmp_path / "c.txt", *PAPER, *options, "--criteria", "ER2", "--criterion", "CMPRESS"
     )
     assert status == 0, errors
     assert " -" in text
@@ -172,7 +178,7 @@ def test_where_scores_end_is_told(run, tmp_path):
 
 def test_without_matplotlib_the_numbers_are_written(sheet, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    status, _, errors = run("surface", sheet, *FAST, "--out", tmp_path)
+    status, _, errors = run("surface", sheet, *PAPER, *FAST, "--out", tmp_path)
     assert status == 0
     assert "pip install 'mexpress[plot]'" in errors
     assert (tmp_path / "surface.npz").exists()
@@ -181,7 +187,7 @@ def test_without_matplotlib_the_numbers_are_written(sheet, run, tmp_path, monkey
 def test_without_a_ply_reader_the_extra_is_named(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plyfile", None)
     (tmp_path / "c.ply").write_text("ply\n")
-    status, _, errors = run("surface", tmp_path / "c.ply", "--out", tmp_path / "out")
+    status, _, errors = run("surface", tmp_path / "c.ply", *PAPER, "--out", tmp_path / "out")
     assert status == 2
     assert "pip install 'mexpress[ply]'" in errors
     assert not (tmp_path / "out").exists()
@@ -205,7 +211,7 @@ def test_without_a_ply_reader_the_extra_is_named(run, tmp_path, monkeypatch):
     ],
 )
 def test_bad_options_are_one_line(depth_map, run, tmp_path, options, says):
-    status, text, errors = run("surface", depth_map, *options, "--quiet", "--out", tmp_path / "out")
+    status, text, errors = run("surface", depth_map, *PAPER, *options, "--quiet", "--out", tmp_path / "out")
     assert (status, text) == (2, "")
     assert says in errors
     assert errors.startswith("mexpress: error: ")
@@ -216,7 +222,7 @@ def test_bad_options_are_one_line(depth_map, run, tmp_path, options, says):
 def test_bad_input_is_one_line(run, tmp_path, name):
     if name != "no.png":
         (tmp_path / name).write_bytes(b"")
-    status, text, errors = run("surface", tmp_path / name, "--out", tmp_path / "out")
+    status, text, errors = run("surface", tmp_path / name, *PAPER, "--out", tmp_path / "out")
     assert (status, text) == (2, "")
     assert name in errors
     assert errors.count("\n") == 1
@@ -229,7 +235,7 @@ def test_faults_of_ours_keep_their_traceback(sheet, run, tmp_path, monkeypatch):
 
     monkeypatch.setattr("mexpress.cli.surface.select_surface", fault)
     with pytest.raises(ValueError, match="broadcast"):
-        run("surface", sheet, "--out", tmp_path)
+        run("surface", sheet, *PAPER, "--out", tmp_path)
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])

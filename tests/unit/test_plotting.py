@@ -22,7 +22,9 @@ GRAY = RNG.random((HEIGHT, WIDTH))
 
 @pytest.fixture(scope="module")
 def selection():
-    return mx.select_warp(SOURCE, TARGET, criteria=["FIT", "CMPRESS", "AIC", "BIC"], counts=range(3, 20))
+    return mx.select_warp(
+        SOURCE, TARGET, criteria=["FIT", "CMPRESS", "AIC", "BIC"], counts=range(3, 20), smoothing=0
+    )
 
 
 def is_drawn(path):
@@ -138,13 +140,15 @@ def test_undefined_and_infinite_values_are_left_out(selection, tmp_path):
 
 @pytest.mark.parametrize("criteria", [["AIC"], ["FIT"]])
 def test_one_curve_at_one_count(criteria, tmp_path):
-    selection = mx.select_warp(SOURCE, TARGET, criterion=criteria[0], criteria=criteria, counts=[5])
+    selection = mx.select_warp(
+        SOURCE, TARGET, criterion=criteria[0], criteria=criteria, counts=[5], smoothing=0
+    )
     selection.plot(tmp_path / "curves.svg")
     assert (tmp_path / "curves.svg").read_text().endswith("</svg>\n")
 
 
 def test_perfect_matches(tmp_path):
-    selection = mx.select_warp(SOURCE, SOURCE, criteria=["FIT", "AIC"], counts=range(3, 6))
+    selection = mx.select_warp(SOURCE, SOURCE, criteria=["FIT", "AIC"], counts=range(3, 6), smoothing=0)
     selection.plot(tmp_path / "curves.png")
     plotting.plot_warp(selection.warp, SOURCE, SOURCE, tmp_path / "warp.png")
     assert is_drawn(tmp_path / "curves.png")

@@ -18,7 +18,7 @@ IMAGE = {"image_size": (160, 120), "unit": "m"}
 
 @pytest.fixture(scope="module")
 def selection():
-    return mx.select_surface(POINTS, DEPTH, criterion="ER5", max_count=30)
+    return mx.select_surface(POINTS, DEPTH, criterion="ER5", max_count=30, smoothing=0)
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ def test_control_points_are_coloured_and_numbered_in_their_order(selection, tmp_
 
 @pytest.mark.parametrize("values", [DEPTH, SHEET])
 def test_few_control_points(values, tmp_path):
-    selection = mx.select_surface(POINTS, values, criterion="CMPRESS", max_count=3)
+    selection = mx.select_surface(POINTS, values, criterion="CMPRESS", max_count=3, smoothing=0)
     figure = plotting.plot_control_points(selection, tmp_path / "points.png")
     assert is_drawn(tmp_path / "points.png")
     assert len(figure.axes[0].texts) == 3

@@ -132,7 +132,7 @@ def test_counts_that_held_out_data_leave_undetermined(shape, smoothing):
 def test_curves_are_those_of_refits_by_lstsq(shape):
     points, values = wavy(60, shape)
     names = ["FIT", "PRESS", "CMPRESS", "ER15", "AIC", "BIC", "GCV"]
-    selection = mx.select_surface(points, values, "ER15", names, max_count=8)
+    selection = mx.select_surface(points, values, "ER15", names, max_count=8, smoothing=0)
     design = nested_surface_design(points, values, selection.control_points)
     near = s.exclusion_radius(points, 0.15 * np.hypot(*np.ptp(points, axis=0)))
     for k, count in enumerate(selection.counts):
@@ -163,7 +163,7 @@ def test_any_data(seed, n, gridded):
     points[:3] = [[0, 0], [60, 0], [0, 60]]
     values = rng.normal(size=n)
     names = ["FIT", "PRESS", "CMPRESS", "NN03PTS", "ER20", "BIC"]
-    selection = mx.select_surface(points, values, "FIT", names, max_count=8, seed=seed)
+    selection = mx.select_surface(points, values, "FIT", names, max_count=8, seed=seed, smoothing=0)
     scores = refitted(selection, names)
     if selection.curves["FIT"].min() > 1e-6:  # else it is rounding
         agree(selection, scores)
@@ -204,7 +204,9 @@ def test_flat_data_get_few_control_points_and_waves_many(shape, criterion):
     points, waves = wavy(300, shape, noise=0.01)
     noise = 0.01 * np.random.default_rng(1).normal(size=waves.shape)
     flat = points @ np.full((2, *shape), 0.5) + noise
-    few, many = (mx.select_surface(points, values, criterion, max_count=40) for values in (flat, waves))
+    few, many = (
+        mx.select_surface(points, values, criterion, max_count=40, smoothing=0) for values in (flat, waves)
+    )
     assert few.count <= 5
     assert many.count >= 25
     if criterion != "BIC":
@@ -214,7 +216,7 @@ def test_flat_data_get_few_control_points_and_waves_many(shape, criterion):
 
 def test_noise_is_not_followed_and_the_fitting_error_prefers_more():
     points, values = wavy(400, noise=0.5)
-    selection = mx.select_surface(points, values, "CMPRESS", max_count=80)
+    selection = mx.select_surface(points, values, "CMPRESS", max_count=80, smoothing=0)
     assert selection.selected["FIT"] == selection.counts[-1] > selection.count
     x, y = points.T
     truth = np.sin(x / 90) + np.cos(y / 70)
@@ -244,7 +246,7 @@ def spacing(points):
 
 def test_control_points_are_data_and_the_longer_sweep_begins_as_the_shorter():
     points, values = wavy()
-    short, long = (mx.select_surface(points, values, max_count=count) for count in (9, 25))
+    short, long = (mx.select_surface(points, values, max_count=count, smoothing=0) for count in (9, 25))
     np.testing.assert_array_equal(short.control_points, long.control_points[:9])
     assert short.counts.tolist() == list(range(3, 10))
     for name, curve in short.curves.items():
@@ -255,7 +257,9 @@ def test_control_points_are_data_and_the_longer_sweep_begins_as_the_shorter():
 @pytest.mark.parametrize("distance", [5.0, 30.0, 90.0, 200.0])
 def test_control_points_keep_their_distance(distance):
     points, values = wavy()
-    selection = mx.select_surface(points, values, "CMPRESS", max_count=1000, min_distance=distance)
+    selection = mx.select_surface(
+        points, values, "CMPRESS", max_count=1000, min_distance=distance, smoothing=0
+    )
     centres = selection.control_points
     assert spacing(centres) > distance
     assert selection.counts.tolist() == list(range(3, len(centres) + 1))
@@ -268,7 +272,7 @@ def test_the_distance_is_a_share_of_the_diagonal_by_default():
     points, values = wavy()
     diagonal = np.hypot(*np.ptp(points, axis=0))
     default, same = (
-        mx.select_surface(points, values, max_count=1000, min_distance=distance)
+        mx.select_surface(points, values, max_count=1000, min_distance=distance, smoothing=0)
         for distance in (None, 0.025 * diagonal)
     )
     np.testing.assert_array_equal(default.control_points, same.control_points)
@@ -278,7 +282,7 @@ def test_the_distance_is_a_share_of_the_diagonal_by_default():
 
 def test_a_distance_that_leaves_no_room_leaves_a_plane():
     points, values = wavy()
-    selection = mx.select_surface(points, values, "ER10", min_distance=1e6)
+    selection = mx.select_surface(points, values, "ER10", min_distance=1e6, smoothing=0)
     assert selection.counts.tolist() == [3]
     assert selection.count == 3
     assert all(len(curve) == 1 for curve in selection.curves.values())
@@ -286,7 +290,7 @@ def test_a_distance_that_leaves_no_room_leaves_a_plane():
 
 def test_more_control_points_than_data():
     points, values = wavy(30)
-    selection = mx.select_surface(points, values, "CMPRESS", max_count=10**6, min_distance=0)
+    selection = mx.select_surface(points, values, "CMPRESS", max_count=10**6, min_distance=0, smoothing=0)
     assert selection.counts.tolist() == list(range(3, 31))
     assert selection.undefined["CMPRESS"][30].tolist() == list(range(30))
     assert np.isnan(selection.curves["CMPRESS"][-1])
@@ -298,7 +302,7 @@ def test_more_control_points_than_data():
 
 def test_four_data():
     points, values = wavy(4)
-    selection = mx.select_surface(points, values, "CMPRESS")
+    selection = mx.select_surface(points, values, "CMPRESS", smoothing=0)
     assert selection.counts.tolist() == [3, 4]
     assert selection.count == 3
     assert selection.undefined["CMPRESS"][4].tolist() == [0, 1, 2, 3]
@@ -309,12 +313,12 @@ def test_four_data():
 
 def test_three_data_are_a_plane_that_nothing_judges():
     points, values = wavy(3)
-    selection = mx.select_surface(points, values, "FIT")
+    selection = mx.select_surface(points, values, "FIT", smoothing=0)
     assert selection.counts.tolist() == [3]
     assert selection.selected == {"FIT": 3, "PRESS": None, "CMPRESS": None}
     np.testing.assert_allclose(selection.surface(points), values, atol=1e-9)
     with pytest.raises(ValueError, match=r"^Invalid criterion\. .* Given CMPRESS, .*\.$"):
-        mx.select_surface(points, values, "CMPRESS")
+        mx.select_surface(points, values, "CMPRESS", smoothing=0)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -325,7 +329,7 @@ def test_values_on_a_plane_get_three_control_points(level, slope, shape):
     values = level + slope * (points @ [1.0, -2.0])
     if shape:
         values = values[:, None] * [1.0, 0.0, -3.0]
-    selection = mx.select_surface(points, values, "ER10", NAMED, max_count=20)
+    selection = mx.select_surface(points, values, "ER10", NAMED, max_count=20, smoothing=0)
     assert selection.selected == dict.fromkeys(NAMED, 3)
     np.testing.assert_allclose(selection.surface(points), values, rtol=0, atol=1e-12 * np.abs(values).max())
     assert type(selection).__name__ in repr(selection)
@@ -340,7 +344,9 @@ def test_repeated_data():
     values += 0.01 * np.random.default_rng(0).normal(size=150)
     names = ["CMPRESS", "ER0", "ER10", "NN05PTS", "DELAUNAY"]
     for distance in (None, 0):
-        selection = mx.select_surface(points, values, "ER0", names, max_count=60, min_distance=distance)
+        selection = mx.select_surface(
+            points, values, "ER0", names, max_count=60, min_distance=distance, smoothing=0
+        )
         assert 30 < len(selection.control_points) <= 50
         assert len(np.unique(selection.control_points, axis=0)) == len(selection.control_points)
         early = np.flatnonzero(selection.counts <= 35)
@@ -356,7 +362,7 @@ def test_data_of_four_places():
     points, values = wavy(4)
     points = np.repeat(points, 10, axis=0)
     values = np.repeat(values, 10) + 0.01 * np.random.default_rng(0).normal(size=40)
-    selection = mx.select_surface(points, values, "CMPRESS", ["ER0"])
+    selection = mx.select_surface(points, values, "CMPRESS", ["ER0"], smoothing=0)
     assert selection.counts.tolist() == [3, 4]
     assert selection.selected == {"ER0": 3, "CMPRESS": 4}
     assert selection.undefined == {"ER0": {4: pytest.approx(np.arange(40))}}
@@ -366,8 +372,8 @@ def test_a_criterion_without_any_score_is_an_error():
     points, values = wavy(20)
     for criterion in ("ER100", "NN20PTS", "NN18PTS", "NN100PCT"):
         with pytest.raises(ValueError, match=rf"^Invalid criterion\. .* Given {criterion}, .*\.$"):
-            mx.select_surface(points, values, criterion)
-    selection = mx.select_surface(points, values, "CMPRESS", ["NN20PTS", "FIT"])
+            mx.select_surface(points, values, criterion, smoothing=0)
+    selection = mx.select_surface(points, values, "CMPRESS", ["NN20PTS", "FIT"], smoothing=0)
     assert selection.selected["NN20PTS"] is None
     assert np.isnan(selection.curves["NN20PTS"]).all()
     assert all(data.tolist() == list(range(20)) for data in selection.undefined["NN20PTS"].values())
@@ -407,7 +413,7 @@ def test_the_seed_decides_and_threads_do_not(shape, smoothing):
 
 def test_a_pickled_selection_is_the_same():
     points, values = wavy(shape=(3,))
-    selection = mx.select_surface(points, values, "NN100PTS", ["NN140PTS", "ER10"], max_count=20)
+    selection = mx.select_surface(points, values, "NN100PTS", ["NN140PTS", "ER10"], max_count=20, smoothing=0)
     assert selection.undefined
     again = pickle.loads(pickle.dumps(selection))
     same(selection, again)
@@ -417,7 +423,7 @@ def test_a_pickled_selection_is_the_same():
 
 def test_a_selection_in_one_line():
     points, values = wavy()
-    selection = mx.select_surface(points, values, "ER10", max_count=20)
+    selection = mx.select_surface(points, values, "ER10", max_count=20, smoothing=0)
     score = selection.curves["ER10"][selection.count - 3]
     chosen = f"ER10 chooses {selection.count} of 3 to 20 control points, ER10={score:.4g}"
     assert repr(selection) == f"SurfaceSelection({chosen})"
@@ -434,17 +440,24 @@ def test_inputs_stay_as_they_are():
 def test_names_in_any_case():
     points, values = wavy(60)
     selection = mx.select_surface(
-        points, values, " er10press", ["fit", "NN02ptsPress", "Delaunay"], max_count=6
+        points,
+        values,
+        " er10press",
+        ["fit", "NN02ptsPress", "Delaunay"],
+        max_count=6,
+        smoothing=0,
     )
     assert selection.criterion == "ER10"
     assert list(selection.curves) == ["FIT", "NN02PTS", "DELAUNAY", "ER10"]
-    plain = mx.select_surface(points, values, "ER10", ["FIT", "NN02PTS", "DELAUNAY"], max_count=6)
+    plain = mx.select_surface(
+        points, values, "ER10", ["FIT", "NN02PTS", "DELAUNAY"], max_count=6, smoothing=0
+    )
     same(selection, plain)
 
 
 def test_one_column_of_values_is_a_depth_that_keeps_its_shape():
     points, values = wavy(60)
-    flat, column = (mx.select_surface(points, v, max_count=9) for v in (values, values[:, None]))
+    flat, column = (mx.select_surface(points, v, max_count=9, smoothing=0) for v in (values, values[:, None]))
     assert (flat.surface.parameters.ndim, column.surface.parameters.ndim) == (1, 2)
     for name, curve in flat.curves.items():
         np.testing.assert_array_equal(curve, column.curves[name])
@@ -453,7 +466,7 @@ def test_one_column_of_values_is_a_depth_that_keeps_its_shape():
 def test_the_order_of_the_data_does_not_matter_to_a_given_placement():
     points, values = wavy()
     order = np.random.default_rng(0).permutation(150)
-    selection = mx.select_surface(points, values, "ER10", max_count=20)
+    selection = mx.select_surface(points, values, "ER10", max_count=20, smoothing=0)
     centres = selection.control_points
     for name in ("FIT", "CMPRESS", "ER10"):
         curves = []
@@ -469,9 +482,9 @@ def test_the_order_of_the_data_does_not_matter_to_a_given_placement():
 def test_progress_goes_to_the_terminal_and_changes_nothing(capfd, monkeypatch):
     monkeypatch.setattr(progress, "_PATIENCE", 0.0)
     points, values = wavy(100)
-    quiet = mx.select_surface(points, values, max_count=9)
+    quiet = mx.select_surface(points, values, max_count=9, smoothing=0)
     assert capfd.readouterr() == ("", "")
-    loud = mx.select_surface(points, values, max_count=9, progress=True)
+    loud = mx.select_surface(points, values, max_count=9, progress=True, smoothing=0)
     out, err = capfd.readouterr()
     assert out == ""
     assert re.match(r"surface: 1 of 2, \d+ s left\n", err)

@@ -16,7 +16,7 @@ from mexpress._validation import Floats
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.selection import Selection
-from mexpress.selection.weights import AUTO
+from mexpress.selection.defaults import AUTO
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,15 +41,16 @@ def add_selection(parser: Parser, placements: str) -> None:
     add = parser.add_argument
     add(
         "--criterion",
-        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, ... (default: ER10, or MATCHED with --smoothing auto)",
+        help="what selects: FIT, PRESS, CMPRESS, KFkk, ERxx, ... (default: MATCHED, or ER10 without --smoothing auto)",
     )
     add("--criteria", type=_names, metavar="A,B,...", help="also shown (default: FIT,PRESS,CMPRESS)")
     add(
         "--smoothing",
         type=_smoothing,
-        default=0.0,
+        default=AUTO,
         metavar="W[,W...]|auto",
-        help="weight of the bending energy: larger is stiffer; the best of several, or of twenty (default: 0)",
+        help="weight of the bending energy, larger is stiffer; the best of several, or of twenty with auto; 0 is the "
+        "method of the paper (default: auto)",
     )
     add("--lifting", default="tps", help="functions that bend the plane: tps, bspline, affine (default: tps)")
     add("--placement", metavar="NAME", help=f"how control points are spread: {placements}")

@@ -15,7 +15,7 @@ from mexpress.cli import common
 from mexpress.io.archives import ARCHIVES
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
-from mexpress.selection.surface import MOST
+from mexpress.selection.defaults import surface_defaults
 
 _DATA = 10_000
 """As many data as the paper's depth maps have."""
@@ -151,7 +151,9 @@ def _print(selection: SurfaceSelection, cloud: Cloud, unit: str | None, residual
 
 
 def _warn(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
-    ended = selection.placement == "residual" and selection.counts[-1] < (arguments.max_count or MOST)
+    ended = selection.placement == "residual" and selection.counts[-1] < (
+        arguments.max_count or surface_defaults(len(selection.points), arguments.smoothing).largest
+    )
     common.warn_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
     if ended:
         common.warn(

@@ -153,13 +153,20 @@ class LeastSquares:
 
     @classmethod
     def _from_orthonormal(
-        cls, Q: Floats, b: Floats, coupling: int, penalty: Floats, threads: int | None = None
+        cls,
+        Q: Floats,
+        b: Floats,
+        coupling: int,
+        penalty: Floats,
+        threads: int | None = None,
+        weights: Floats | None = None,
     ) -> LeastSquares:
-        """Fit a design whose columns, stacked on the penalty rows, are orthonormal: this skips the factorisation."""
+        """Fit a design whose weighted columns, stacked on the penalty rows, are orthonormal: skip the factorisation."""
         model = object.__new__(cls)
-        problem = Problem.of(Q, b, coupling, None, penalty)
-        design, responses, _, rows = problem.arrays
-        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, check.threads(threads)))
+        problem = Problem.of(Q, b, coupling, weights, penalty)
+        design, responses, roots, rows = problem.arrays
+        workers = check.threads(threads)
+        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, workers, roots))
         return model
 
     @classmethod

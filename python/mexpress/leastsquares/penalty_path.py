@@ -6,6 +6,8 @@ in an orthonormal basis of ``[A; sqrt(w) Z]`` are ``U D``, up to a rotation that
 
     D = C (C^2 + (w / v) S^2)^(-1/2)
 
+Weights of the data multiply the rows of A by their roots.
+
 Examples
 --------
 >>> import mexpress as mx
@@ -53,12 +55,17 @@ class PenaltyPath:
         Rank of A alone, up to rounding in the common factorisation.
     """
 
-    def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats) -> None:
+    def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats, weights: Floats | None = None) -> None:
         m, p = A.shape
-        self._problem = A, b, coupling, Z
+        # Fits depend on the ratio of weights to the penalty's; with a largest weight of one, the core scales neither.
+        self._largest = 1.0 if weights is None else float(weights.max())
+        weights = None if weights is None else weights / self._largest
+        self._problem = A, b, coupling, Z, weights
+        self._roots = None if weights is None else np.repeat(np.sqrt(weights), coupling)[:, None]
         size = np.linalg.norm(Z)
-        self._unit = float(np.linalg.norm(A) / size) if size else 1.0
-        basis, triangle = np.linalg.qr(np.vstack([A, self._unit * Z]))
+        rows = A if self._roots is None else self._roots * A
+        self._unit = float(np.linalg.norm(rows) / size) if size else 1.0
+        basis, triangle = np.linalg.qr(np.vstack([rows, self._unit * Z]))
         rounding = (m + p) * np.finfo(float).eps
         pivots, lengths = np.diagonal(triangle), np.linalg.norm(triangle, axis=0)
         small = np.abs(pivots) <= rounding * lengths[: len(pivots)]
@@ -73,12 +80,16 @@ class PenaltyPath:
 
     def fit(self, weight: float, threads: int | None = None) -> FittedAt:
         """Return the fit at a weight above zero."""
-        A, b, coupling, Z = self._problem
+        A, b, coupling, Z, weights = self._problem
+        weight /= self._largest
         if not self.determined:
-            return FittedAt.of(LeastSquares(A, b, coupling, penalty=np.sqrt(weight) * Z, threads=threads))
+            rows = np.sqrt(weight) * Z
+            return FittedAt.of(LeastSquares(A, b, coupling, weights, rows, threads=threads))
         sines = np.sqrt(weight) / self._unit * self._sines
         lengths = np.hypot(self._cosines, sines)
         lengths[lengths == 0] = 1.0
         basis, rest = self._left * (self._cosines / lengths), np.diag(sines / lengths)
-        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads)
+        if self._roots is not None:
+            basis /= self._roots
+        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads, weights)
         return FittedAt(model, np.asarray((self._back / lengths) @ model.coefficients))

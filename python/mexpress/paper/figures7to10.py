@@ -105,6 +105,7 @@ def _sweep(kind: str, options: Options) -> _Sweep:
         seed=options.seed,
         threads=options.threads,
         progress=options.progress,
+        smoothing=0,
     )
     control_points, where = selection.control_points, subject.true_points
     truth = np.full(len(control_points) - 2, np.nan)

@@ -74,6 +74,7 @@ def measure(configuration: Configuration, n: int, stride: int = 1, seed: int = 0
         image_size=matches.image_size,
         seed=seed,
         threads=1,
+        smoothing=0,
     )
     test = _test_errors(selection, matches)
     place = (configuration.source, configuration.target, configuration.view, n)

@@ -117,6 +117,7 @@ def trial(
         seed=seed,
         threads=threads,
         progress=progress,
+        smoothing=0,
     )
     warps = [selection.warps.get(int(count)) for count in selection.counts]
     truth = rasterised(problem.target_contour, problem.target_size) if problem.target_contour else None

@@ -3,7 +3,7 @@
 Every criterion scores every model, and one criterion selects.
 """
 
-from mexpress.selection.candidates import largest_count
+from mexpress.selection.defaults import largest_count
 from mexpress.selection.fit import fit_surface, fit_warp
 from mexpress.selection.selection import Selection
 from mexpress.selection.surface import SurfaceSelection, select_surface

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Generic
 
 import numpy as np
@@ -19,12 +19,12 @@ from mexpress.liftings import Lifting, ThinPlateSpline
 from mexpress.models import Basis, CardinalBasis, Design, ModelT, NestedBasis
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
-from mexpress.selection.data import Data
+from mexpress.selection.data import Data, total_weight
+from mexpress.selection.defaults import CRITERIA, is_automatic
+from mexpress.selection.queries import Queries
 from mexpress.selection.selection import Selection
 from mexpress.selection.sweep import Sweep, sweep_designs, sweep_nested
-from mexpress.selection.weights import is_automatic, smoothing_weights, tie_slack
-
-DEFAULT_CRITERIA = ("FIT", "PRESS", "CMPRESS")
+from mexpress.selection.weights import smoothing_weights, tie_slack
 
 _FEW = 3
 """Up to this number, nested designs cost less one by one than in one sweep."""
@@ -44,6 +44,8 @@ class CriteriaRequest:
         The data of the models.
     seed, threads
         As for `select_warp`.
+    queries : Queries, optional
+        Where the model will be used; MATCHED matches far ones.
 
     Examples
     --------
@@ -58,20 +60,34 @@ class CriteriaRequest:
     data: Data
     seed: Any = 0
     threads: int | None = None
+    queries: Queries | None = None
+
+    @property
+    def far(self) -> bool:
+        """Whether the model will be used far from the data."""
+        return self.queries is not None and self.queries.far
 
     def scorer(self, nested: bool) -> tuple[str, Scorer]:
-        """Return the name of the criterion that selects, and a scorer of all criteria."""
+        """Return the name of the criterion that selects, and a scorer of all criteria; `nested` of nested designs."""
         check.generator(self.seed)
-        domain = Domain(
-            self.data.points, self.data.diagonal, self.data.domain, self.seed, check.threads(self.threads)
-        )
         own = self.criteria if isinstance(self.criteria, Mapping) else {}
         if isinstance(self.criterion, str) and self.criterion in own:
-            return self.criterion, Scorer.over(own, domain)
-        named = DEFAULT_CRITERIA if self.criteria is None or own else self.criteria
+            return self.criterion, Scorer.over(own, self._domain)
+        named = CRITERIA if self.criteria is None or own else self.criteria
         names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
         chosen = parse(self.criterion).name
-        return chosen, Scorer.over([*names, chosen], domain, nested) | Scorer.over(own, domain)
+        return chosen, Scorer.over([*names, chosen], self._domain, nested) | Scorer.over(own, self._domain)
+
+    @cached_property
+    def listed(self) -> tuple[str, Scorer]:
+        """The scorer of designs that are not nested, whose schemes are the same for all candidates."""
+        return self.scorer(nested=False)
+
+    @cached_property
+    def _domain(self) -> Domain:
+        data, threads = self.data, check.threads(self.threads)
+        queries = self.queries.points if self.queries is not None and self.queries.far else None
+        return Domain(data.points, data.diagonal, data.domain, self.seed, threads, queries)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,9 +145,10 @@ class Candidates(Generic[ModelT]):
         if automatic and self.counts is None:
             tried = sorted({tried[0], tried[-1]})
         n = len(data.points)
-        weights = smoothing_weights(self.smoothing, n, data.domain.area, tried[-1] if self.placed else wished)
+        largest = tried[-1] if self.placed else wished
+        weights = smoothing_weights(self.smoothing, total_weight(data), data.domain.area, largest)
         nested = ordered is not None and len(tried) > _FEW
-        name, scorer = request.scorer(nested)
+        name, scorer = request.scorer(nested=True) if nested else request.listed
         liftings = [] if nested else self._liftings(request, tried, ordered)
         rounds = steps(n) if nested else len(liftings)
         with bar(rounds * len(weights), label) if label else nullcontext(lambda: None) as on_step:
@@ -151,30 +168,6 @@ class Candidates(Generic[ModelT]):
         placed = (self.lifting.place_over(where, count, seed, threads) for count in counts)
         by_count = {len(control_points): control_points for control_points in placed}
         return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
-
-
-def largest_count(n: int) -> int:
-    """The largest number of control points that the paper tries for n data: half of them, at most 100.
-
-    Examples
-    --------
-    >>> [largest_count(n) for n in (10, 15, 30, 150, 500)]
-    [6, 7, 15, 75, 100]
-    """
-    return {10: 6, 15: 7}.get(n, min(math.floor(n / 2 + 0.5), 100))
-
-
-def default_criterion(criterion: str | None, smoothing: Any) -> str:
-    """The criterion that selects by default: ER10, or MATCHED with an automatic weight.
-
-    Examples
-    --------
-    >>> default_criterion(None, 0.0), default_criterion(None, "auto"), default_criterion("GCV", "auto")
-    ('ER10', 'MATCHED', 'GCV')
-    """
-    if criterion is None:
-        return "MATCHED" if is_automatic(smoothing) else "ER10"
-    return criterion
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:

@@ -1,7 +1,7 @@
 """The data of a selection, checked once: matches of two images, or samples of a surface.
 
-Both have `points`, `values`, `weights`, `domain` and `diagonal`, and make a design over a basis. Warps and surfaces
-differ in nothing else.
+Both have `points`, `values`, `weights`, `domain` and `diagonal`, have subsets, and make a design over a basis. Warps
+and surfaces differ in nothing else.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
-from mexpress._validation import Floats
+from mexpress._validation import Floats, Integers
 from mexpress.geometry import Region, diagonal, hull
 from mexpress.models import Basis, Design, Surface, Warp, fractional_design, linear_design
 
@@ -28,7 +29,7 @@ class Matches:
     source, target : (n, 2) array
         Matched points, x then y, in pixels of either image.
     weights : (n,) array or None
-        Weights of the matches; 1 each if None.
+        Weights of the matches; 1 each if None. A weight of 0 stands for a match that is absent.
     domain : Region
         Region that the source points cover.
     image_size : (width, height) or None
@@ -50,13 +51,24 @@ class Matches:
     def of(
         cls, source: ArrayLike, target: ArrayLike, image_size: Any = None, weights: ArrayLike | None = None
     ) -> Matches:
-        """Check matches: n pairs of finite points, with source points that are not on a line."""
+        """Check matches: n pairs of finite points; source points whose weight is not 0 are not on a line."""
         source, target = check.points(source, "source"), check.points(target, "target")
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)}")
-        size = check.image_size(image_size)
-        return cls(source, target, _weights(weights), Region(hull(source, "source")), size)
+        size, shares = check.image_size(image_size), _weights(weights, len(source))
+        return cls(source, target, shares, Region(hull(_present(source, shares), "source")), size)
+
+    def subset(self, some: Integers) -> Matches:
+        """Return some of the matches, with the region that they cover."""
+        source = self.source[some]
+        return Matches(
+            source,
+            self.target[some],
+            _part(self.weights, some),
+            Region(hull(source, "source")),
+            self.image_size,
+        )
 
     def __repr__(self) -> str:
         return f"Matches({len(self.source)} matches, diagonal {self.diagonal:g})"
@@ -96,7 +108,7 @@ class Samples:
     values : (n,) or (n, d) array
         Depths, or points in space.
     weights : (n,) array or None
-        Weights of the data; 1 each if None.
+        Weights of the data; 1 each if None. A weight of 0 stands for a datum that is absent.
     domain : Region
         Region that the points cover.
 
@@ -110,13 +122,19 @@ class Samples:
     values: Floats
     weights: Floats | None
     domain: Region
+    image_size: ClassVar[None] = None
 
     @classmethod
     def of(cls, points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None) -> Samples:
-        """Check data: n finite points that are not on a line, with a value each."""
+        """Check data: n finite points with a value each; points whose weight is not 0 are not on a line."""
         points = check.points(points, "points")
-        values = check.columns(values, "values", len(points))
-        return cls(points, values, _weights(weights), Region(hull(points, "points")))
+        values, shares = check.columns(values, "values", len(points)), _weights(weights, len(points))
+        return cls(points, values, shares, Region(hull(_present(points, shares), "points")))
+
+    def subset(self, some: Integers) -> Samples:
+        """Return some of the data, with the region that they cover."""
+        points = self.points[some]
+        return Samples(points, self.values[some], _part(self.weights, some), Region(hull(points, "points")))
 
     def __repr__(self) -> str:
         return f"Samples({len(self.points)} data, diagonal {self.diagonal:g})"
@@ -131,8 +149,53 @@ class Samples:
         return linear_design(basis, self.points, self.values, self.domain, Surface).weighted(self.weights)
 
 
-def _weights(weights: ArrayLike | None) -> Floats | None:
-    return None if weights is None else check.finite(check.real(weights, "weights"), "weights")
-
-
 Data: TypeAlias = Matches | Samples
+
+DataT = TypeVar("DataT", Matches, Samples)
+
+
+def present(data: Data) -> Integers:
+    """Return the indices of the data whose weight is not 0, increasing.
+
+    Examples
+    --------
+    >>> present(Samples.of([[0, 0], [4, 0], [0, 3], [4, 3]], [1.0, 2.0, 3.0, 9.0], [1, 1, 1, 0]))
+    array([0, 1, 2])
+    """
+    n = len(data.points)
+    return np.arange(n) if data.weights is None else np.flatnonzero(data.weights)
+
+
+def part(data: DataT, some: Integers) -> DataT:
+    """Return some of the data, by increasing indices; the data themselves if these are all."""
+    return data if len(some) == len(data.points) else data.subset(some)
+
+
+def those_present(data: DataT) -> DataT:
+    """Return the data whose weight is not 0."""
+    return part(data, present(data))
+
+
+def total_weight(data: Data) -> float:
+    """Return the sum of the weights."""
+    return float(len(data.points)) if data.weights is None else float(data.weights.sum())
+
+
+def _weights(weights: ArrayLike | None, n: int) -> Floats | None:
+    if weights is None:
+        return None
+    rule = f"It must be {n} numbers of at least 0, one for each datum, and one above 0."
+    shares = check.real(weights, "weights")
+    if shares.shape != (n,):
+        check.refuse("weights", rule, f"shape {shares.shape}")
+    if check.finite(shares, "weights").min() < 0 or shares.max() == 0:
+        check.refuse("weights", rule, f"{shares.min():g} for datum {int(shares.argmin())}")
+    return shares
+
+
+def _present(points: Floats, weights: Floats | None) -> Floats:
+    return points if weights is None else points[weights > 0]
+
+
+def _part(weights: Floats | None, some: Integers) -> Floats | None:
+    return None if weights is None else weights[some]

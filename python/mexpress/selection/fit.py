@@ -6,8 +6,9 @@ from mexpress import _validation as check
 from mexpress.criteria import Scorer, parse
 from mexpress.liftings import make_lifting
 from mexpress.models import CardinalBasis, Design, ModelT, Surface, Warp
-from mexpress.selection.candidates import CriteriaRequest, default_criterion
-from mexpress.selection.data import Matches, Samples
+from mexpress.selection.candidates import CriteriaRequest
+from mexpress.selection.data import Matches, Samples, those_present, total_weight
+from mexpress.selection.defaults import surface_defaults, warp_defaults
 from mexpress.selection.sweep import sweep_designs
 from mexpress.selection.weights import smoothing_weights, tie_slack
 
@@ -23,6 +24,7 @@ def fit_warp(
     image_size: tuple[float, float] | None = None,
     seed: int = 0,
     threads: int | None = None,
+    weights: ArrayLike | None = None,
 ) -> Warp:
     """Fit a warp with given control points to matches, by least squares.
 
@@ -44,6 +46,8 @@ def fit_warp(
         Criterion that scores several weights, and its options, as for `select_warp`.
     threads : int, optional
         Largest number of threads; the result does not depend on it.
+    weights : array_like, (n,), optional
+        Weight of every match, such as a match's confidence; a match of weight 0 is absent. 1 each by default.
 
     Returns
     -------
@@ -67,8 +71,9 @@ def fit_warp(
     """
     fractional = check.flag(fractional, "fractional")
     basis = CardinalBasis(make_lifting(lifting, control_points))
-    matches = Matches.of(source, target, image_size)
-    request = CriteriaRequest(default_criterion(criterion, smoothing), (), matches, seed, threads)
+    matches = those_present(Matches.of(source, target, image_size, weights))
+    chosen = warp_defaults(len(matches.source), smoothing).criterion if criterion is None else criterion
+    request = CriteriaRequest(chosen, (), matches, seed, threads)
     return _fit(matches.design(basis, fractional), smoothing, request, "warp", "matches")
 
 
@@ -81,6 +86,7 @@ def fit_surface(
     criterion: str | None = None,
     seed: int = 0,
     threads: int | None = None,
+    weights: ArrayLike | None = None,
 ) -> Surface:
     """Fit a surface with given control points to data, by least squares.
 
@@ -100,6 +106,9 @@ def fit_surface(
         Criterion that scores several weights, and its option, as for `select_surface`.
     threads : int, optional
         Largest number of threads; the result does not depend on it.
+    weights : array_like, (n,), optional
+        Weight of every datum, such as one over the square of its standard deviation; a datum of weight 0 is absent. 1
+        each by default.
 
     Returns
     -------
@@ -121,8 +130,10 @@ def fit_surface(
     >>> surface([[2, 2], [1, 1]]).round(6)
     array([5.  , 2.25])
     """
-    basis, data = CardinalBasis(make_lifting(lifting, control_points)), Samples.of(points, values)
-    request = CriteriaRequest(default_criterion(criterion, smoothing), (), data, seed, threads)
+    basis = CardinalBasis(make_lifting(lifting, control_points))
+    data = those_present(Samples.of(points, values, weights))
+    chosen = surface_defaults(len(data.points), smoothing).criterion if criterion is None else criterion
+    request = CriteriaRequest(chosen, (), data, seed, threads)
     return _fit(data.design(basis), smoothing, request, "surface", "data")
 
 
@@ -137,8 +148,8 @@ def _fit(
     parse(request.criterion)
     check.generator(request.seed)
     n = len(request.data.points)
-    weights = smoothing_weights(smoothing, n, request.data.domain.area, design.count)
-    name, scorer = request.scorer(nested=False) if len(weights) > 1 else ("", Scorer({}, {}))
+    weights = smoothing_weights(smoothing, total_weight(request.data), request.data.domain.area, design.count)
+    name, scorer = request.listed if len(weights) > 1 else ("", Scorer({}, {}))
     sweep = sweep_designs([design], weights, scorer, request.threads, lambda: None)
     place = sweep.selection(name, tie_slack(smoothing, n)).place if name else (0, 0)
     model = sweep.model(*place)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import os
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
-from mexpress._validation import Floats
+from mexpress._validation import Floats, Integers
 from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models import CardinalBasis, Design, ModelT
 from mexpress.radii import RadiusCurve, radius_curve
-from mexpress.schemes import Places
+from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
-from mexpress.selection.data import Data
+from mexpress.selection.data import Data, part, present
 from mexpress.selection.selection import Selection
 from mexpress.suspicion import Suspects, suspects
 
@@ -55,6 +56,8 @@ class Trials(Generic[ModelT]):
 class FittedSelection(Selection, Generic[ModelT]):
     """A selection with its data and its selected model: a `WarpSelection` or a `SurfaceSelection`."""
 
+    data: Any
+    left_out: Integers = field(kw_only=True, default_factory=lambda: np.zeros(0, dtype=np.int64))
     _unit: ClassVar[str | None] = None
     """Unit of the values, if it is known."""
 
@@ -66,9 +69,11 @@ class FittedSelection(Selection, Generic[ModelT]):
     def _model(self) -> ModelT:
         """The selected warp or surface."""
 
-    @abstractmethod
-    def _data(self) -> Data:
-        """The data, checked when the selection was made."""
+    @cached_property
+    def _kept_data(self) -> Any:
+        """The data of the fit: not those of weight 0, nor those that were left out."""
+        kept = np.setdiff1d(present(self.data), self.left_out)
+        return part(self.data, kept)
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:
@@ -115,7 +120,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> mx.select_warp(source, source + np.sin(source / 30), counts=[3, 9]).radii([0, 5, 10]).percents
         array([ 0.,  5., 10.])
         """
-        data = self._data()
+        data = self._kept_data
         fit = self.least_squares(threads=threads)
         return radius_curve(fit, Places(data.points), data.domain, data.diagonal, percents, threads)
 
@@ -171,7 +176,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> mx.select_warp(source, target, counts=[3, 9]).suspects().indices
         array([7])
         """
-        data = self._data()
+        data = self._kept_data
         scheme = Places(data.points).within(check.positive(radius, "radius") / 100 * data.diagonal, threads)
         trials = self._trials(threads)
         return suspects(
@@ -209,7 +214,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         return design.model(fit.coefficients, smoothing=stiffness)
 
     def _trials(self, threads: int | None) -> Trials[ModelT]:
-        data, lifting = self._data(), type(self._model.lifting)
+        data, lifting = self._kept_data, type(self._model.lifting)
         most = max(4, min(len(data.points) // 3, self._most_flexible_count))
         counts = lifting.counts(data.domain.corners, most)
         few = sorted({counts[0], counts[len(counts) // 3], counts[-1]})
@@ -222,3 +227,45 @@ class FittedSelection(Selection, Generic[ModelT]):
         ]
         _, scorer = CriteriaRequest(_CRITERION, [], data, 0, threads).scorer(nested=False)
         return Trials(pairs, scorer, threads)
+
+
+SelectionT_co = TypeVar("SelectionT_co", bound=FittedSelection[Any], covariant=True)
+
+
+class Question(Protocol[SelectionT_co]):
+    """What a selection is asked, whichever of the data remain."""
+
+    def select(
+        self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+    ) -> SelectionT_co:
+        """Return the selection of data of positive weight; `label` names the progress that is shown, if any."""
+
+
+def select_of(
+    data: Data,
+    question: Question[SelectionT_co],
+    criteria: Sequence[str] | Mapping[str, Scheme] | None,
+    label: str | None,
+) -> SelectionT_co:
+    """Select for the data that are present, and tell of all data by their indices."""
+    n, kept = len(data.points), present(data)
+    if len(kept) == n:
+        return question.select(data, criteria, label)
+    selection = question.select(data.subset(kept), _restricted(criteria, kept, n), label)
+    undefined = {
+        name: {count: kept[lost] for count, lost in by_count.items()}
+        for name, by_count in selection.undefined.items()
+    }
+    return replace(selection, data=data, undefined=undefined)
+
+
+def _restricted(
+    criteria: Sequence[str] | Mapping[str, Scheme] | None, kept: Integers, n: int
+) -> Sequence[str] | Mapping[str, Scheme] | None:
+    """Schemes of one's own over all n data, without those that are absent."""
+    if not isinstance(criteria, Mapping):
+        return criteria
+    return {
+        name: scheme.restricted(kept) if isinstance(scheme, Scheme) and scheme.n_data == n else scheme
+        for name, scheme in criteria.items()
+    }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -40,6 +42,10 @@ class Selection:
         Number of unknowns that only the bending energy determines, by count. Counts without such unknowns are absent.
     slack : float, default 0
         Scores within this fraction of the best are ties; the model with the fewest effective parameters wins.
+    rivals : dict of str to Selection, optional
+        Scores of other models by name: "affine map", "homography", "plane", or "piecewise affine".
+    rival : str, optional
+        Which of them is selected; None if it is a model of these counts and weights.
 
     Examples
     --------
@@ -61,6 +67,8 @@ class Selection:
     parameters: Floats | None = field(kw_only=True, default=None)
     open: dict[int, int] = field(kw_only=True, default_factory=dict)
     slack: float = field(kw_only=True, default=0.0)
+    rivals: dict[str, Selection] = field(kw_only=True, default_factory=dict)
+    rival: str | None = field(kw_only=True, default=None)
 
     def __post_init__(self) -> None:
         shape = len(self.counts), len(self.weights)
@@ -69,7 +77,9 @@ class Selection:
     def __repr__(self) -> str:
         tried = f"{self.counts[0]} to {self.counts[-1]} control points"
         chosen = f"{self.criterion} chooses {self.count} of {tried}"
-        if len(self.weights) > 1:
+        if self.rival is not None:
+            chosen = f"{self.criterion} chooses the {self.rival} before {tried}"
+        elif len(self.weights) > 1:
             tried = f"{self.weights[0]:.3g} to {self.weights[-1]:.3g}"
             chosen += f" and smoothing {self.smoothing:.3g} of {tried}"
         return f"{type(self).__name__}({chosen}, {self.criterion}={self.score:.4g})"
@@ -90,7 +100,7 @@ class Selection:
 
     @property
     def selected(self) -> dict[str, int | None]:
-        """Number of control points that each criterion selects; None for a criterion without a score.
+        """Number of control points that each criterion selects, of all models; None for a criterion without a score.
 
         The slack does not apply to AIC and BIC, which have no unit and penalise parameters themselves.
 
@@ -101,8 +111,8 @@ class Selection:
         >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).selected
         {'FIT': 4}
         """
-        places = {name: self._place(name) for name in self.maps}
-        return {name: None if at is None else int(self.counts[at[0]]) for name, at in places.items()}
+        best = {name: self._best(name) for name in self.maps}
+        return {name: None if at is None else int(at[0].counts[at[1]]) for name, at in best.items()}
 
     @property
     def selected_smoothing(self) -> dict[str, float | None]:
@@ -116,29 +126,35 @@ class Selection:
         >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).selected_smoothing
         {'GCV': 0.0, 'FIT': 0.0}
         """
-        places = {name: self._place(name) for name in self.maps}
-        return {name: None if at is None else float(self.weights[at[1]]) for name, at in places.items()}
+        best = {name: self._best(name) for name in self.maps}
+        return {name: None if at is None else float(at[0].weights[at[2]]) for name, at in best.items()}
 
     @property
     def count(self) -> int:
         """The selected number of control points."""
-        return int(self.counts[self.place[0]])
+        return int(self._winner.counts[self._winner.place[0]])
 
     @property
     def smoothing(self) -> float:
         """The selected weight of the bending energy."""
-        return float(self.weights[self.place[1]])
+        return float(self._winner.weights[self._winner.place[1]])
 
     @property
     def score(self) -> float:
         """The criterion's score of the selected model."""
-        return float(self.maps[self.criterion][self.place])
+        return float(self._winner.maps[self.criterion][self._winner.place])
+
+    @property
+    def effective_parameters(self) -> float:
+        """Effective number of parameters of the selected model, trace(H); NaN if it is not known."""
+        known = self._winner.parameters
+        return math.nan if known is None else float(known[self._winner.place])
 
     @property
     def place(self) -> tuple[int, int]:
-        """Positions of the selected count and the selected weight."""
-        chosen = self._place(self.criterion)
-        if chosen is None:
+        """Positions of the best count and weight, whether or not a rival is better."""
+        best = strongest([self], self.criterion)
+        if best is None:
             rule = (
                 "It must have a score at one count at least; more data, fewer of them held out, or smoothing "
                 "above 0 may help."
@@ -146,19 +162,19 @@ class Selection:
             check.refuse(
                 "criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on"
             )
-        return chosen
+        return best[1:]
 
-    def _place(self, name: str) -> tuple[int, int] | None:
-        """Positions of the count and the weight that a criterion selects."""
-        scores = self.maps[name]
-        if np.isnan(scores).all():
-            return None
-        best = int(np.nanargmin(scores))
-        if self.slack and self.parameters is not None and name not in UNITLESS:
-            near = scores <= (1 + self.slack) * scores.flat[best]
-            best = int(np.where(near, self.parameters, np.inf).argmin())
-        k, w = np.unravel_index(best, scores.shape)
-        return int(k), int(w)
+    @property
+    def _winner(self) -> Selection:
+        return self if self.rival is None else self.rivals[self.rival]
+
+    def _best(self, name: str) -> tuple[Selection, int, int] | None:
+        """The selection with the model that a criterion selects, and the positions of its count and weight."""
+        if name == self.criterion and self.rival is not None:
+            return self._winner, *self._winner.place
+        # A rival that the criterion did not select may still be the best by its score alone.
+        own = [self] if name == self.criterion else [self, *self.rivals.values()]
+        return strongest([entrant for entrant in own if name in entrant.maps], name)
 
     def best_weight(self, k: int) -> int | None:
         """Position of the criterion's best weight at the k-th count; None without a score.
@@ -171,8 +187,9 @@ class Selection:
         >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).best_weight(0)
         1
         """
-        if k == self.place[0]:
-            return self.place[1]
+        best = strongest([self], self.criterion)
+        if best is not None and k == best[1]:
+            return best[2]
         scores = self.maps[self.criterion][k]
         return None if np.isnan(scores).all() else int(np.nanargmin(scores))
 
@@ -187,3 +204,28 @@ class Selection:
         from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
 
         return plot_selection(self, path)
+
+
+def strongest(entrants: Sequence[Selection], name: str) -> tuple[Selection, int, int] | None:
+    """Return the selection with the best model by a criterion, and the positions of its count and weight.
+
+    Ties go to the model with the fewest effective parameters. AIC and BIC, which charge for parameters themselves, have
+    no ties. None if no model has a score.
+    """
+    scores = np.concatenate([entrant.maps[name].ravel() for entrant in entrants])
+    if np.isnan(scores).all():
+        return None
+    best = int(np.nanargmin(scores))
+    known = [entrant.parameters for entrant in entrants if entrant.parameters is not None]
+    slack = entrants[0].slack
+    if slack and len(known) == len(entrants) and name not in UNITLESS:
+        parameters = np.concatenate([each.ravel() for each in known])
+        near = scores <= (1 + slack) * scores[best]
+        best = int(np.where(near, parameters, np.inf).argmin())
+    for entrant in entrants:
+        shape = entrant.maps[name].shape
+        if best < math.prod(shape):
+            break
+        best -= math.prod(shape)
+    k, w = np.unravel_index(best, shape)
+    return entrant, int(k), int(w)

@@ -11,32 +11,30 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.geometry import Region
-from mexpress.liftings import lifting_named
+from mexpress.liftings import Lifting, PiecewiseAffine, ThinPlateSpline, lifting_named
 from mexpress.models import CardinalBasis, Design, Surface
 from mexpress.placement import farthest_order, residual_order
 from mexpress.schemes import Scheme
-from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement, default_criterion
+from mexpress.selection import rivals
+from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement
 from mexpress.selection.data import Samples
-from mexpress.selection.fitted import FittedSelection
-from mexpress.selection.weights import is_automatic, largest_automatic_count
-
-MOST = 175
-"""Largest number of control points, as in section 5 of the paper."""
+from mexpress.selection.defaults import AUTO, is_automatic, surface_defaults
+from mexpress.selection.fitted import FittedSelection, select_of
+from mexpress.selection.queries import Queries
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfaceSelection(FittedSelection[Surface]):
-    """A surface with the number of control points that a criterion selects; see `Selection` for the other fields.
+    """A surface as complex as a criterion selects; see `Selection` for the other fields.
 
     Parameters
     ----------
+    data : Samples
+        The data as they were given.
+    left_out : (k,) int64 array
+        Indices of the data that `robust` left out as wrong, increasing.
     surface : Surface
         The selected surface.
-    points : (n, 2) array
-        Positions of the data.
-    values : (n,) or (n, d) array
-        Depths, or positions in d dimensions.
     control_points : (l, 2) array
         Control points of the largest model, in their order. A model of k control points has the first k, unless each
         count has its own.
@@ -48,28 +46,35 @@ class SurfaceSelection(FittedSelection[Surface]):
     >>> import mexpress as mx
     >>> import numpy as np
     >>> points = np.random.default_rng(0).uniform(0, 1, (200, 2))
-    >>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]), max_count=40)
-    >>> len(selection.surface.control_points) == selection.count
-    True
+    >>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]))
+    >>> selection.surface
+    Surface(depth, tps, 200 control points, smoothing 4.76e-06)
     >>> figure = selection.plot()  # of matplotlib
     """
 
+    data: Samples
     surface: Surface
-    points: Floats
-    values: Floats
     control_points: Floats
     placement: str
     _most_flexible_count: ClassVar[int] = 100
 
     @property
+    def points(self) -> Floats:
+        """Positions of the data, (n, 2)."""
+        return self.data.points
+
+    @property
+    def values(self) -> Floats:
+        """Depths, (n,), or positions in d dimensions, (n, d)."""
+        return self.data.values
+
+    @property
     def _model(self) -> Surface:
         return self.surface
 
-    def _data(self) -> Samples:
-        return Samples(self.points, self.values, None, Region(self.surface.domain))
-
     def _design(self, basis: CardinalBasis) -> Design[Surface]:
-        return self._data().design(basis)
+        data: Samples = self._kept_data
+        return data.design(basis)
 
 
 def select_surface(
@@ -79,17 +84,23 @@ def select_surface(
     criteria: Sequence[str] | Mapping[str, Scheme] | None = None,
     max_count: int | None = None,
     min_distance: float | None = None,
-    smoothing: float | ArrayLike | str = 0.0,
+    smoothing: float | ArrayLike | str = AUTO,
     seed: int = 0,
     threads: int | None = None,
     progress: bool = False,
     lifting: str = "tps",
     placement: str | None = None,
+    *,
+    weights: ArrayLike | None = None,
+    queries: ArrayLike | str | None = None,
 ) -> SurfaceSelection:
-    """Fit a surface to data with the number of control points that a criterion selects.
+    """Fit a surface to data, as complex as predicts held-out data best.
 
-    By default, the next control point is always the datum farthest from the surface so far (section 5.1 of the paper).
-    The models are then nested, and a criterion's whole curve costs as much as one model.
+    By default twenty weights of the bending energy compete, from an all but interpolating surface to a plane: the best
+    prediction. ``smoothing=0`` is the method of the paper, where the number of control points alone makes a surface
+    complex: the next control point is always the datum farthest from the surface so far (its section 5.1). The models
+    are then nested, and a criterion's whole curve costs as much as one model. See `mexpress.selection.defaults` for
+    what else that changes.
 
     Parameters
     ----------
@@ -99,18 +110,20 @@ def select_surface(
         Depths, or positions in d dimensions.
     criterion : str, optional
         Criterion that selects, see `mexpress.criteria`; ERxx is a percentage of the diagonal of the points' bounding
-        box. ER10 by default, as the paper advises: it predicts every datum with all data within 10 % of the diagonal
-        held out. No radius is right for every use, so compare several. With `smoothing` "auto", MATCHED by default:
-        it matches the distances from predictions to training data to those in use.
+        box. MATCHED by default: it matches the distances from predictions to training data to those in use. Where
+        neighbouring data share their noise, take ER10. With `smoothing` 0 or given weights, ER10 by default, as the
+        paper advises: it predicts every datum with all data within 10 % of the diagonal held out. No radius is right
+        for every use, so compare several.
     criteria : sequence of str, or mapping of str to Scheme, optional
         Further criteria to compute; FIT, PRESS and CMPRESS by default. A mapping gives schemes by names that no
         criterion has. If the criterion is one of these names, only the schemes are computed, else also the three.
     max_count : int, optional
-        Largest number of control points; 175 by default. With `smoothing` "auto", the number of data, at most 900.
+        Largest number of control points: the number of data by default, at most 900. With `smoothing` 0 or given
+        weights, 175.
     min_distance : float, optional
         Smallest distance of control points with "residual" placement, in the unit of the points; 2.5 % of the diagonal
         by default, see `mexpress.placement.by_residual`.
-    smoothing : float, list of float or "auto", default 0
+    smoothing : float, list of float or "auto", default "auto"
         Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
         surface, in the limit a plane. Of several weights, the best is selected together with the count. "auto" tries
         twenty, from negligible to dominant, for the smallest and for the largest count.
@@ -126,8 +139,15 @@ def select_surface(
         Placement of control points. "residual": the datum farthest from the surface so far is the next one. "nested":
         the next one is always the datum farthest from the control points so far, which spreads them evenly at every
         count. Both are for thin-plate splines only. "lloyd": separately for every count, over the region of the data,
-        by Lloyd's algorithm or on the lifting's grid. The default is "residual" for thin-plate splines ("nested" with
-        `smoothing` "auto"), and "lloyd" for other liftings.
+        by Lloyd's algorithm or on the lifting's grid. The default is "nested" for thin-plate splines ("residual" with
+        `smoothing` 0 or given weights), and "lloyd" for other liftings.
+    weights : (n,) array, optional
+        Weight of every datum, in the fit and in the scores, such as one over the square of its standard deviation. A
+        datum of weight 0 is absent. 1 each by default. "residual" placement does not know them.
+    queries : (q, 2) array, or (left, top, right, bottom), optional
+        Where the surface will be used: positions, or all over a rectangle. If they are far from the data, models are
+        judged by predictions as far from their training data as the queries are from the data, and piecewise affine
+        surfaces compete. Between the data by default.
 
     Returns
     -------
@@ -146,41 +166,83 @@ def select_surface(
     >>> rng = np.random.default_rng(0)
     >>> points = rng.uniform(0, 640, (1000, 2))
     >>> depth = 2 + 0.1 * np.sin(points[:, 0] / 100) + rng.normal(0, 0.01, 1000)
-    >>> selection = mx.select_surface(points, depth, criterion="ER05", max_count=60)
-    >>> selection.selected["FIT"], 10 <= selection.count < 60
-    (60, True)
+    >>> selection = mx.select_surface(points[:200], depth[:200])
+    >>> selection.maps["MATCHED"].shape, 5 < selection.effective_parameters < 50
+    ((2, 20), True)
     >>> selection.surface([[320, 320]]).shape
     (1,)
-    >>> smooth = mx.select_surface(points[:200], depth[:200], smoothing="auto")
-    >>> smooth.smoothing > 0, smooth.maps["MATCHED"].shape
-    (True, (2, 20))
+    >>> paper = mx.select_surface(points, depth, criterion="ER05", smoothing=0, max_count=60)
+    >>> paper.selected["FIT"], 10 <= paper.count < 60
+    (60, True)
     """
-    data = Samples.of(points, values)
-    n, automatic = len(data.points), is_automatic(smoothing)
-    usual = largest_automatic_count(n, 1) if automatic else MOST
-    most = usual if max_count is None else check.count(max_count, "max_count", 3)
+    data = Samples.of(points, values, weights)
     check.flag(progress, "progress")
     functions = lifting_named(lifting)
+    usual = surface_defaults(len(data.points), smoothing)
     choices = "residual", "nested", "lloyd"
-    spread = checked_placement(placement, functions, choices, "nested" if automatic else "residual")
-    orders = {
-        "residual": partial(
-            residual_order, data.points, data.values, min_distance=min_distance, seed=seed, threads=threads
-        ),
-        "nested": partial(farthest_order, data.points),
-    }
-    candidates = Candidates(
-        functions, data.design, None, min(most, n), orders.get(spread), smoothing, placed=True
+    question = SurfaceQuestion(
+        usual.criterion if criterion is None else criterion,
+        functions,
+        None if max_count is None else check.count(max_count, "max_count", 3),
+        min_distance,
+        checked_placement(placement, functions, choices, usual.placement),
+        smoothing,
+        queries,
+        seed,
+        threads,
     )
-    request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, data, seed, threads)
-    selection, sweep, ordered = candidates.select(request, "surface" if progress else None)
-    surface = sweep.model(*selection.place)
-    assert surface is not None  # a model with a score is determined
-    return SurfaceSelection(
-        **vars(selection),
-        surface=surface,
-        points=data.points,
-        values=data.values,
-        control_points=surface.control_points if ordered is None else ordered,
-        placement=spread,
-    )
+    return select_of(data, question, criteria, "surface" if progress else None)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceQuestion:
+    """What `select_surface` is asked of data, checked, whichever of the data remain."""
+
+    criterion: str
+    lifting: type[Lifting]
+    max_count: int | None
+    min_distance: float | None
+    placement: str
+    smoothing: float | ArrayLike | str
+    queries: ArrayLike | str | None
+    seed: int
+    threads: int | None
+
+    def select(
+        self, data: Samples, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+    ) -> SurfaceSelection:
+        """Select a surface for data."""
+        queries = None if self.queries is None else Queries.of(self.queries, data, self.seed)
+        request = CriteriaRequest(self.criterion, criteria, data, self.seed, self.threads, queries)
+        splines, automatic = self.lifting is ThinPlateSpline, is_automatic(self.smoothing)
+        free = automatic and self.max_count is None
+        plain = {} if splines or not free else {"plane": rivals.plain_map(data.design, data)}
+        bridges = free and splines and request.far
+        bridge = self._candidates(data, PiecewiseAffine, "lloyd") if bridges else None
+        grid = self._candidates(data, self.lifting, self.placement)
+        outcome = rivals.select(grid, plain, bridge, request, label)
+        ordered = outcome.ordered if outcome.selection.rival is None else None
+        return SurfaceSelection(
+            **vars(outcome.selection),
+            data=data,
+            surface=outcome.model,
+            control_points=outcome.model.control_points if ordered is None else ordered,
+            placement=self.placement,
+        )
+
+    def _candidates(self, data: Samples, lifting: type[Lifting], placement: str) -> Candidates[Surface]:
+        orders = {
+            "residual": partial(
+                residual_order,
+                data.points,
+                data.values,
+                min_distance=self.min_distance,
+                seed=self.seed,
+                threads=self.threads,
+            ),
+            "nested": partial(farthest_order, data.points),
+        }
+        n = len(data.points)
+        largest = surface_defaults(n, self.smoothing).largest if self.max_count is None else self.max_count
+        order = orders.get(placement)
+        return Candidates(lifting, data.design, None, min(largest, n), order, self.smoothing, placed=True)

@@ -75,6 +75,16 @@ class Sweep(Generic[ModelT]):
             model,
         )
 
+    def best_models(self, selection: Selection) -> dict[int, ModelT]:
+        """Return the model of every count that the data determine, at the criterion's best weight for the count."""
+        models = {}
+        for k, count in enumerate(self.counts.tolist()):
+            w = selection.best_weight(k)
+            model = self.model(k, -1 if w is None else w)
+            if model is not None:
+                models[count] = model
+        return models
+
     def selection(self, criterion: str, slack: float) -> Selection:
         """Let a criterion select."""
         shared = {name: value for name, value in vars(self).items() if name != "model"}
@@ -169,13 +179,10 @@ def _fits(design: Design[ModelT], weights: Floats, threads: int | None) -> tuple
     if not (len(bending) and weights[-1] > 0):
         plain = design.fit(threads=threads)
         return repeat(FittedAt.of(plain), len(weights)), plain.rank
-    if design.weights is None:
-        path = PenaltyPath(design.A, design.b, design.coupling, bending)
-        stiff = (path.fit(weight, threads) for weight in weights.tolist() if weight > 0)
-        if weights[0] > 0:
-            return stiff, path.rank
-    else:
-        stiff = (FittedAt.of(design.fit(weight, threads)) for weight in weights.tolist() if weight > 0)
+    path = PenaltyPath(design.A, design.b, design.coupling, bending, design.weights)
+    stiff = (path.fit(weight, threads) for weight in weights.tolist() if weight > 0)
+    if weights[0] > 0:
+        return stiff, path.rank
     plain = design.fit(threads=threads)
     return chain([FittedAt.of(plain)] if weights[0] == 0 else [], stiff), plain.rank
 

@@ -10,37 +10,33 @@ from typing import ClassVar
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
-from mexpress._validation import Floats
-from mexpress.geometry import Region
-from mexpress.liftings import lifting_named
+from mexpress._validation import Floats, Integers
+from mexpress.liftings import Lifting, PiecewiseAffine, ThinPlateSpline, lifting_named
 from mexpress.models import CardinalBasis, Design, Warp
 from mexpress.placement import farthest_order
 from mexpress.schemes import Scheme
-from mexpress.selection.candidates import (
-    Candidates,
-    CriteriaRequest,
-    checked_counts,
-    checked_placement,
-    default_criterion,
-    largest_count,
-)
+from mexpress.selection import rivals
+from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_counts, checked_placement
 from mexpress.selection.data import Matches
-from mexpress.selection.fitted import FittedSelection
-from mexpress.selection.weights import is_automatic, largest_automatic_count, several_weights
+from mexpress.selection.defaults import AUTO, is_automatic, warp_defaults
+from mexpress.selection.fitted import FittedSelection, select_of
+from mexpress.selection.queries import Queries
+from mexpress.selection.weights import several_weights
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WarpSelection(FittedSelection[Warp]):
-    """A warp with the number of control points that a criterion selects; see `Selection` for the other fields.
+    """A warp as complex as a criterion selects; see `Selection` for the other fields.
 
     Parameters
     ----------
+    data : Matches
+        The matches as they were given.
+    left_out : (k,) int64 array
+        Indices of the matches that `robust` left out as wrong, increasing.
     warps : dict of int to Warp
-        The warp of every count that the data determine, at the criterion's best weight for the count.
-    source, target : (n, 2) array
-        The matches, in pixels.
-    image_size : tuple of float, optional
-        (width, height) of the source image in pixels.
+        The warp of every count that the data determine, at the criterion's best weight for the count; among them the
+        selected one.
     placement : str
         Placement of the control points, as for `select_warp`.
 
@@ -49,16 +45,14 @@ class WarpSelection(FittedSelection[Warp]):
     >>> import mexpress as mx
     >>> import numpy as np
     >>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
-    >>> selection = mx.select_warp(source, 2 * source + 1, counts=[3, 4, 5])
-    >>> selection.warp is selection.warps[selection.count]
-    True
+    >>> selection = mx.select_warp(source, 2 * source + 1)
+    >>> selection.rival, selection.warp
+    ('affine map', Warp(tps, 3 control points))
     >>> figure = selection.plot()  # of matplotlib
     """
 
+    data: Matches
     warps: dict[int, Warp]
-    source: Floats
-    target: Floats
-    image_size: tuple[float, float] | None
     placement: str
     _unit: ClassVar[str | None] = "pixels of the target image"
     _most_flexible_count: ClassVar[int] = 30
@@ -69,14 +63,27 @@ class WarpSelection(FittedSelection[Warp]):
         return self.warps[self.count]
 
     @property
+    def source(self) -> Floats:
+        """The matches in the source image, (n, 2), in pixels."""
+        return self.data.source
+
+    @property
+    def target(self) -> Floats:
+        """The matches in the target image, (n, 2), in pixels."""
+        return self.data.target
+
+    @property
+    def image_size(self) -> tuple[float, float] | None:
+        """(width, height) of the source image in pixels, if it is known."""
+        return self.data.image_size
+
+    @property
     def _model(self) -> Warp:
         return self.warp
 
-    def _data(self) -> Matches:
-        return Matches(self.source, self.target, None, Region(self.warp.domain), self.image_size)
-
     def _design(self, basis: CardinalBasis) -> Design[Warp]:
-        return self._data().design(basis, self.warp.fractional, _over_data(self.placement))
+        matches: Matches = self._kept_data
+        return matches.design(basis, self.warp.fractional, _over_data(self.placement))
 
 
 def select_warp(
@@ -88,23 +95,30 @@ def select_warp(
     fractional: bool = True,
     counts: ArrayLike | None = None,
     placement: str | None = None,
-    smoothing: float | ArrayLike | str = 0.0,
+    smoothing: float | ArrayLike | str = AUTO,
     image_size: tuple[float, float] | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: bool = False,
+    *,
+    weights: ArrayLike | None = None,
+    queries: ArrayLike | str | None = None,
 ) -> WarpSelection:
-    """Fit a warp to point matches with the number of control points that a criterion selects.
+    """Fit a warp to point matches, as complex as predicts held-out matches best.
+
+    By default twenty weights of the bending energy compete, from an all but interpolating warp to a homography, and an
+    affine map: the best prediction. ``smoothing=0`` is the method of the paper, where the number of control points
+    alone makes a warp complex; see `mexpress.selection.defaults` for what else that changes.
 
     Parameters
     ----------
     source, target : (n, 2) array
-        Matches, x then y, in pixels of either image; without wrong matches.
+        Matches, x then y, in pixels of either image.
     criterion : str, optional
-        Criterion that selects, see `mexpress.criteria`. ER10 by default, as the paper advises: it predicts every match
-        with all matches within 10 % of the diagonal held out. No radius is right for every use, so compare several.
-        With `smoothing` "auto", MATCHED by default: it matches the distances from predictions to training data to
-        those in use.
+        Criterion that selects, see `mexpress.criteria`. MATCHED by default: it matches the distances from predictions
+        to training data to those in use. Where neighbouring matches share their noise, take ER10. With `smoothing` 0
+        or given weights, ER10 by default, as the paper advises: it predicts every match with all matches within 10 % of
+        the diagonal held out. No radius is right for every use, so compare several.
     criteria : sequence of str, or mapping of str to Scheme, optional
         Further criteria to compute; FIT, PRESS and CMPRESS by default. A mapping gives schemes by names that no
         criterion has. If the criterion is one of these names, only the schemes are computed, else also the three.
@@ -113,15 +127,15 @@ def select_warp(
     fractional : bool, default True
         Whether the warp models perspective.
     counts : sequence of int, optional
-        Numbers of control points to try; 3 to half the number of matches, at most 100, by default. With `smoothing`
-        "auto", only the smallest and the number of matches, at most 300 (900 without perspective): the weight
-        controls the flexibility, and the choice among fewer models is less random.
+        Numbers of control points to try. By default only 3 and the number of matches, at most 300 (900 without
+        perspective): the weight controls the flexibility, and the choice among fewer models is less random. With
+        `smoothing` 0 or given weights, 3 to half the number of matches, at most 100.
     placement : {"lloyd", "nested"}, optional
         Placement of control points. "lloyd": separately for every count, over the region that the source points
         cover, by Lloyd's algorithm ("bspline" and "affine" have grids instead). "nested", for thin-plate splines
         only: the next control point is always the source point farthest from those so far, so the models are nested
-        and all counts are scored at once. The default is "lloyd" with one weight and "nested" with several weights.
-    smoothing : float, list of float or "auto", default 0
+        and all counts are scored at once. The default is "nested" with several weights, "lloyd" with one.
+    smoothing : float, list of float or "auto", default "auto"
         Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
         warp, in the limit an affine map or a homography. Of several weights, the best is selected together with the
         count. "auto" tries twenty, from negligible to dominant.
@@ -134,6 +148,14 @@ def select_warp(
         Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
     progress : bool, default False
         Whether to show progress on the terminal.
+    weights : (n,) array, optional
+        Weight of every match, in the fit and in the scores, such as a match's confidence, or one over the square of
+        its standard deviation. A match of weight 0 is absent. 1 each by default.
+    queries : (q, 2) array, (left, top, right, bottom), or "image", optional
+        Where the warp will be used: positions in pixels of the source image, all over a rectangle, or all over the
+        image of `image_size`. If they are far from the matches, models are judged by predictions as far from their
+        training data as the queries are from the matches, and piecewise affine warps compete. Between the matches by
+        default.
 
     Returns
     -------
@@ -153,49 +175,96 @@ def select_warp(
     >>> source = rng.uniform(0, 640, (60, 2))
     >>> bend = np.column_stack([0 * source[:, 0], 8 * np.sin(source[:, 0] / 100)])
     >>> target = 1.2 * source + bend + rng.normal(0, 0.5, source.shape)
-    >>> selection = mx.select_warp(source, target, criterion="ER05", image_size=(640, 640), counts=range(3, 20))
-    >>> selection.selected["FIT"], 6 <= selection.count < 19
+    >>> selection = mx.select_warp(source, target)
+    >>> selection.maps["MATCHED"].shape, 8 < selection.effective_parameters < 60
+    ((2, 20), True)
+    >>> paper = mx.select_warp(source, target, criterion="ER05", smoothing=0, counts=range(3, 20))
+    >>> paper.selected["FIT"], 6 <= paper.count < 19
     (18, True)
     >>> selection.warp([[320, 320]]).shape
     (1, 2)
-    >>> smooth = mx.select_warp(source, target, smoothing="auto")
-    >>> smooth.smoothing > 0, smooth.maps["MATCHED"].shape
-    (True, (2, 20))
     """
-    matches = Matches.of(source, target, image_size)
-    n, automatic = len(matches.source), is_automatic(smoothing)
-    wished = checked_counts(counts, n, "matches")
-    if wished is None and n < 4:
-        check.refuse("source", "There must be four matches at least.", f"{n}")
+    matches = Matches.of(source, target, image_size, weights)
+    wished = checked_counts(counts, len(matches.source), "matches")
     for name, flag in (("fractional", fractional), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
-    usual = "nested" if several_weights(smoothing) else "lloyd"
-    spread = checked_placement(placement, functions, ("lloyd", "nested"), usual)
-    candidates = Candidates(
+    several = several_weights(smoothing)
+    usual = warp_defaults(len(matches.source), smoothing, fractional, several)
+    spread = checked_placement(placement, functions, ("lloyd", "nested"), usual.placement)
+    question = WarpQuestion(
+        usual.criterion if criterion is None else criterion,
         functions,
-        partial(matches.design, fractional=fractional, over_data=_over_data(spread)),
+        fractional,
         wished,
-        largest_automatic_count(n, 3 if fractional else 1) if automatic else largest_count(n),
-        partial(farthest_order, matches.source) if spread == "nested" else None,
+        spread,
         smoothing,
+        queries,
+        seed,
+        threads,
     )
-    request = CriteriaRequest(default_criterion(criterion, smoothing), criteria, matches, seed, threads)
-    selection, sweep, _ = candidates.select(request, "warp" if progress else None)
-    warps = {}
-    for k, count in enumerate(selection.counts.tolist()):
-        w = selection.best_weight(k)
-        warp = sweep.model(k, -1 if w is None else w)
-        if warp is not None:
-            warps[count] = warp
-    return WarpSelection(
-        **vars(selection),
-        warps=warps,
-        source=matches.source,
-        target=matches.target,
-        image_size=matches.image_size,
-        placement=spread,
-    )
+    return select_of(matches, question, criteria, "warp" if progress else None)
+
+
+@dataclass(frozen=True, eq=False)
+class WarpQuestion:
+    """What `select_warp` is asked of matches, checked, whichever of the matches remain."""
+
+    criterion: str
+    lifting: type[Lifting]
+    fractional: bool
+    counts: Integers | None
+    placement: str
+    smoothing: float | ArrayLike | str
+    queries: ArrayLike | str | None
+    seed: int
+    threads: int | None
+
+    def select(
+        self, matches: Matches, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+    ) -> WarpSelection:
+        """Select a warp for matches."""
+        n = len(matches.source)
+        if self.counts is None and n < 4:
+            check.refuse("source", "There must be four matches at least.", f"{n}")
+        queries = None if self.queries is None else Queries.of(self.queries, matches, self.seed)
+        request = CriteriaRequest(self.criterion, criteria, matches, self.seed, self.threads, queries)
+        plain = self._plain(matches) if self._automatic else {}
+        bridge = self._candidates(matches, PiecewiseAffine, "lloyd") if self._bridges(request) else None
+        grid = self._candidates(matches, self.lifting, self.placement)
+        outcome = rivals.select(grid, plain, bridge, request, label)
+        warps = outcome.sweep.best_models(outcome.selection)
+        warps[outcome.selection.count] = outcome.model
+        return WarpSelection(**vars(outcome.selection), data=matches, warps=warps, placement=self.placement)
+
+    @property
+    def _automatic(self) -> bool:
+        return is_automatic(self.smoothing) and self.counts is None
+
+    def _bridges(self, request: CriteriaRequest) -> bool:
+        return self._automatic and request.far and self.lifting is ThinPlateSpline
+
+    def _candidates(self, matches: Matches, lifting: type[Lifting], placement: str) -> Candidates[Warp]:
+        n = len(matches.source)
+        usual = warp_defaults(n, self.smoothing, self.fractional)
+        return Candidates(
+            lifting,
+            partial(matches.design, fractional=self.fractional, over_data=_over_data(placement)),
+            None if self.counts is None else self.counts[self.counts <= n],
+            usual.largest,
+            partial(farthest_order, matches.source) if placement == "nested" else None,
+            self.smoothing,
+        )
+
+    def _plain(self, matches: Matches) -> dict[str, Candidates[Warp]]:
+        """Plain maps that are not in the grid: a thin-plate spline of three control points is one."""
+        forms = {"affine map": False} | ({"homography": True} if self.fractional else {})
+        in_grid = self.fractional if self.lifting is ThinPlateSpline else None
+        return {
+            name: rivals.plain_map(partial(matches.design, fractional=form), matches)
+            for name, form in forms.items()
+            if form != in_grid
+        }
 
 
 def _over_data(placement: str) -> bool | None:

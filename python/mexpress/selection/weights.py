@@ -8,14 +8,10 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-
-AUTO = "auto"
+from mexpress.selection.defaults import is_automatic
 
 _WEIGHTS = 20
 """Number of weights that "auto" tries."""
-
-_MOST_PARAMETERS = 900
-"""Largest number of unknowns with an automatic weight: the time grows with its cube."""
 
 _STIFFEST, _LOOSEST = 100.0, 1e-3
 """Largest and smallest weight that "auto" tries, in units of n x area; the smallest is also divided by the square
@@ -26,7 +22,7 @@ the domain, and 0.3 n a / l^2 for the shortest waves of l control points. Weight
 
 def several_weights(smoothing: float | ArrayLike | str) -> bool:
     """Return whether there is more than one weight to try."""
-    return len(smoothing_weights(smoothing, 1, 1.0, 1)) > 1
+    return len(smoothing_weights(smoothing, 1.0, 1.0, 1)) > 1
 
 
 def tie_slack(smoothing: Any, n: int) -> float:
@@ -42,33 +38,15 @@ def tie_slack(smoothing: Any, n: int) -> float:
     return math.sqrt(1 + 1 / n) - 1 if is_automatic(smoothing) else 0.0
 
 
-def largest_automatic_count(n: int, functions: int) -> int:
-    """Return the largest number of control points with an automatic weight: n data, up to a limit on the unknowns.
-
-    `functions` is the number of functions that share a design: three for a fractional warp, otherwise one.
-
-    Examples
-    --------
-    >>> largest_automatic_count(60, 3), largest_automatic_count(5000, 3)
-    (60, 300)
-    """
-    return max(3, min(n, _MOST_PARAMETERS // functions))
-
-
-def is_automatic(smoothing: Any) -> bool:
-    """Return whether the weight is "auto"."""
-    return isinstance(smoothing, str) and smoothing == AUTO
-
-
-def smoothing_weights(smoothing: float | ArrayLike | str, n: int, area: float, largest: int) -> Floats:
+def smoothing_weights(smoothing: float | ArrayLike | str, n: float, area: float, largest: int) -> Floats:
     """Return the weights to try, increasing: those given or, with "auto", twenty between the limits above.
 
     Parameters
     ----------
     smoothing : float, list of float, or "auto"
         Weights of at least 0.
-    n : int
-        Number of data.
+    n : float
+        Number of data, or the sum of their weights.
     area : float
         Area of the region that they cover.
     largest : int

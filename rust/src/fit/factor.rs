@@ -104,11 +104,16 @@ impl Factor {
         Ok(factor)
     }
 
-    /// Fits a problem without weights, of which the columns of `[A; Z]` are orthonormal already.
+    /// Fits a problem of which the columns of `[W^1/2 A; Z]` are orthonormal already.
     pub fn orthonormal(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         problem.check()?;
         let columns = problem.columns;
-        let basis = [problem.design, problem.penalty].concat();
+        let mut basis = [problem.design, problem.penalty].concat();
+        if let Some(weights) = problem.root_weights {
+            for (row, w) in basis.chunks_exact_mut(columns).zip(weights) {
+                row.iter_mut().for_each(|x| *x *= w);
+            }
+        }
         let mut factor = Self::fit(problem, basis, columns, pool)?;
         factor.coefficients.clone_from(&factor.projection);
         factor.triangle.resize(columns * columns, 0.0);

@@ -54,17 +54,19 @@ impl Factor {
         Self::build(py, arrays, threads, factor::Factor::new)
     }
 
-    /// Of a design and penalty rows that have orthonormal columns together.
+    /// Of a weighted design and penalty rows that have orthonormal columns together.
     #[staticmethod]
+    #[pyo3(signature = (design, responses, penalty, threads, root_weights=None))]
     fn orthonormal<'py>(
         py: Python<'py>,
         design: Array2<'py, f64>,
         responses: Array2<'py, f64>,
         penalty: Array2<'py, f64>,
         threads: usize,
+        root_weights: Option<Array1<'py, f64>>,
     ) -> PyResult<Self> {
         let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
-        let arrays = KeptArrays { design, responses, root_weights: None, penalty };
+        let arrays = KeptArrays { design, responses, root_weights: root_weights.map(Bound::unbind), penalty };
         Self::build(py, arrays, threads, factor::Factor::orthonormal)
     }
 
