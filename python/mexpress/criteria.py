@@ -262,18 +262,21 @@ class Score:
         Value in the responses' unit (AIC and BIC have none); NaN if there are such data.
     undefined : int64 array
         Data whose training data do not determine the model.
+    squares : (n,) array, optional
+        Squared prediction errors, summed by datum; of one model at a time, and of criteria with a scheme.
 
     Examples
     --------
     >>> import mexpress as mx
     >>> import numpy as np
     >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
-    >>> mx.criteria.Scorer.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].undefined
-    array([], dtype=int64)
+    >>> mx.criteria.Scorer.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].squares.round(9)
+    array([9., 0., 9.])
     """
 
     value: float
     undefined: Integers
+    squares: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -400,13 +403,19 @@ class Scorer:
         predictions = cross_validate_all(model, self.schemes, threads)
         r = model.residuals.size // len(model.residuals)
         fit = FitSummary(model.fit_rms, r * float(model.leverage.sum()), model.residuals.size, model.n_data)
+        datum = datum_of_row(model)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in predictions:
                 cv = predictions[name]
                 pairs = self.schemes[name].validated
                 data = [pairs[pair] for pair in cv.undefined]
-                scores[name] = Score(cv.score, np.unique(np.concatenate([*data, cv.undefined[:0]])))
+                squares = (cv.residuals.reshape(len(cv.rows), -1) ** 2).sum(axis=1)
+                scores[name] = Score(
+                    cv.score,
+                    np.unique(np.concatenate([*data, cv.undefined[:0]])),
+                    np.asarray(np.bincount(datum[cv.rows], squares, model.n_data), dtype=np.float64),
+                )
             elif criterion is not None and criterion.family in FORMULAS:
                 scores[name] = Score(FORMULAS[criterion.family](fit), np.zeros(0, dtype=np.int64))
             else:

@@ -216,3 +216,22 @@ def test_a_penalty_of_zeros_is_none():
     problem = respond_to(rng.normal(size=(12, 3)), np.zeros((2, 3)))
     for weight in (1e-30, 1.0, 1e30):
         check_fit(factorised(problem).fit(weight), problem)
+
+
+@pytest.mark.parametrize("family", ["random", "tps"])
+@pytest.mark.parametrize(("coupling", "responses"), [(1, 3), (2, 1)])
+@pytest.mark.parametrize("size", [1.0, 7.3, 1e-9, 1e12])
+def test_weights_of_the_data_are_those_of_refits(family, coupling, responses, size):
+    problem, points = make(family, coupling, responses=responses, weighted=True, penalised=True)
+    problem = replace(problem, weights=size * problem.weights)
+    path = PenaltyPath(problem.A, problem.b, coupling, problem.penalty, problem.weights)
+    for weight in WEIGHTS:
+        here = weighted(problem, size * weight * unit(problem))
+        fit, direct = path.fit(size * weight * unit(problem)), here.model()
+        np.testing.assert_allclose(fit.coefficients, direct.coefficients, rtol=1e-8)
+        np.testing.assert_allclose(fit.model.leverage, direct.leverage, rtol=1e-9)
+        assert fit.model.fit_rms == pytest.approx(direct.fit_rms, rel=1e-9)
+        for name, scheme in every_scheme(points).items():
+            cv = fit.model.cross_validate(scheme)
+            assert cv.score == pytest.approx(here.score(scheme), rel=1e-9), name
+            np.testing.assert_allclose(cv.residuals, direct.cross_validate(scheme).residuals, atol=1e-7)

@@ -80,7 +80,19 @@ class CriteriaRequest:
 
     @cached_property
     def listed(self) -> tuple[str, Scorer]:
-        """The scorer of designs that are not nested, whose schemes are the same for all candidates."""
+        """The scorer of designs that are not nested, the same for all candidates; leave-one-out is always in it."""
+        name, scorer = self._asked
+        return name, scorer if "CMPRESS" in scorer.criteria else scorer | Scorer.over(
+            ["CMPRESS"], self._domain
+        )
+
+    @property
+    def shown(self) -> frozenset[str]:
+        """Names of the criteria that were asked for."""
+        return frozenset(self._asked[1].criteria)
+
+    @cached_property
+    def _asked(self) -> tuple[str, Scorer]:
         return self.scorer(nested=False)
 
     @cached_property

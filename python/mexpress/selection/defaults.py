@@ -5,7 +5,8 @@
 ==================  ================================================  ==============================================
 criterion           MATCHED                                           ER10
 counts of warps     3, and as many as matches, at most 300            3 to half the matches, at most 100
-                    (900 without perspective)
+                    (250 for more than 1,000 matches, 900
+                    without perspective)
 counts of surfaces  3, and as many as data, at most 900               3 to 175
 placement           "nested"                                          "lloyd" for warps ("nested" with several
                                                                       weights), "residual" for surfaces
@@ -23,8 +24,11 @@ AUTO = "auto"
 CRITERIA = ("FIT", "PRESS", "CMPRESS")
 """Criteria that are shown beside the one that selects."""
 
-_MOST_UNKNOWNS = 900
-"""Largest number of unknowns with an automatic weight: the time grows with its square, and with n."""
+_MOST_UNKNOWNS, _OF_MANY = 900, 750
+"""Largest number of unknowns with an automatic weight: the time grows with its square, and with n. The second one is
+for the three functions of a warp with perspective, of more matches than `_MANY`."""
+
+_MANY = 1000
 
 _MOST_OF_SURFACES = 175
 """As in section 5 of the paper."""
@@ -57,14 +61,15 @@ class Defaults:
 def warp_defaults(n: int, smoothing: Any, fractional: bool = True, several: bool = False) -> Defaults:
     """Return the defaults for n matches; `several` says that there are several weights."""
     if is_automatic(smoothing):
-        return Defaults("MATCHED", _within_unknowns(n, 3 if fractional else 1), "nested")
+        unknowns = _OF_MANY if fractional and n > _MANY else _MOST_UNKNOWNS
+        return Defaults("MATCHED", max(3, min(n, unknowns // (3 if fractional else 1))), "nested")
     return Defaults("ER10", largest_count(n), "nested" if several else "lloyd")
 
 
 def surface_defaults(n: int, smoothing: Any) -> Defaults:
     """Return the defaults for n data of a surface."""
     if is_automatic(smoothing):
-        return Defaults("MATCHED", _within_unknowns(n, 1), "nested")
+        return Defaults("MATCHED", min(n, _MOST_UNKNOWNS), "nested")
     return Defaults("ER10", min(n, _MOST_OF_SURFACES), "residual")
 
 
@@ -82,8 +87,3 @@ def largest_count(n: int) -> int:
     [6, 7, 15, 75, 100]
     """
     return {10: 6, 15: 7}.get(n, min(math.floor(n / 2 + 0.5), 100))
-
-
-def _within_unknowns(n: int, functions: int) -> int:
-    """As many control points as data, up to a limit on the unknowns of `functions` functions that share a design."""
-    return max(3, min(n, _MOST_UNKNOWNS // functions))

@@ -1,9 +1,12 @@
 """The models beside the grid of counts and weights, and which of all is selected.
 
 With automatic smoothing, plain maps are candidates too: an affine map and a homography, or a plane. They have no
-control points to place, and a dozen matches want no more. Where queries are far from the data, piecewise affine models
-are another one: they bridge gaps without the waves of a spline, but they are worse everywhere else, so they have to
-be better by more than chance.
+control points to place, and a dozen matches want no more. The criterion alone is not enough for them: where it holds
+out much, as in clusters, an affine map can be no worse than a bend that every neighbour confirms. So a plain map is
+selected only if leave-one-out does not contradict.
+
+Where queries are far from the data, piecewise affine models are candidates: they bridge gaps without the waves of a
+spline, but they are worse everywhere else, so they have to be better by more than chance.
 """
 
 from __future__ import annotations
@@ -17,13 +20,12 @@ from typing import Generic
 import numpy as np
 
 from mexpress._validation import Floats
-from mexpress.leastsquares.model import cross_validate_all, datum_of_row
 from mexpress.liftings import ThinPlateSpline
-from mexpress.models import Basis, CardinalBasis, Design, ModelT
+from mexpress.models import Basis, Design, ModelT
 from mexpress.placement import farthest_order
 from mexpress.selection.candidates import Candidates, CriteriaRequest
 from mexpress.selection.data import Data
-from mexpress.selection.selection import Selection, strongest
+from mexpress.selection.selection import Selection
 from mexpress.selection.sweep import Sweep
 
 PIECEWISE_AFFINE = "piecewise affine"
@@ -74,57 +76,93 @@ def select(
         Name of the progress that is shown, if any.
     """
     own, sweep, ordered = grid.select(request, label)
-    families = {name: candidates.select(request, None)[:2] for name, candidates in plain.items()}
-    rivals = {name: _comparable(scores) for name, (scores, _) in families.items()}
-    entrants = [own, *rivals.values()]
-    best = strongest([entrant for entrant in entrants if own.criterion in entrant.maps], own.criterion)
-    if best is None:
+    winner = Entrant.best_of(None, own, sweep)
+    tried = {name: candidates.select(request, None)[:2] for name, candidates in plain.items()}
+    simple = (Entrant.best_of(name, *found) for name, found in tried.items())
+    for each in sorted((each for each in simple if each is not None), key=lambda each: each.score):
+        if winner is None or each.may_replace(winner, request):
+            winner = each
+            break
+    if winner is None:
         own.place  # noqa: B018 - it says why there is none
         raise AssertionError("a selection without a score has no place")
-    rival = next((name for name, scores in rivals.items() if scores is best[0]), None)
-    winner, models = (grid, sweep) if rival is None else (plain[rival], families[rival][1])
-    model = models.model(*best[1:])
     if bridge is not None:
-        scores, models, _ = bridge.select(request, None)
-        rivals[PIECEWISE_AFFINE] = _comparable(scores)
-        at = strongest([scores], own.criterion)
-        other = None if at is None else models.model(*at[1:])
-        if model is not None and other is not None:
-            old, new = _squares(winner, model, request), _squares(bridge, other, request)
-            if better_by_more_than_chance(old, new, request.data.weights):
-                rival, model = PIECEWISE_AFFINE, other
-    assert model is not None  # a model with a score is determined
-    return Outcome(replace(own, rivals=rivals, rival=rival), sweep, ordered, model)
+        tried[PIECEWISE_AFFINE] = bridge.select(request, None)[:2]
+        other = Entrant.best_of(PIECEWISE_AFFINE, *tried[PIECEWISE_AFFINE])
+        if other is not None and other.surely_better_than(winner, request):
+            winner = other
+    # PRESS averages over rows, and not every family has as many.
+    rivals = {name: found[0].showing(request.shown - {"PRESS"}) for name, found in tried.items()}
+    selection = replace(own.showing(request.shown), rivals=rivals, rival=winner.name)
+    return Outcome(selection, sweep, ordered, winner.model)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Entrant(Generic[ModelT]):
+    """The best model of a family, and how well it predicts held-out data.
+
+    Parameters
+    ----------
+    name : str or None
+        The family; None is the grid.
+    score : float
+        The criterion's.
+    parameters : float
+        Effective number of parameters.
+    model : Warp or Surface
+        The model.
+    squares : dict of str to (n,) array
+        Squared prediction error of every datum, by scheme.
+    """
+
+    name: str | None
+    score: float
+    parameters: float
+    model: ModelT
+    squares: dict[str, Floats]
+
+    @classmethod
+    def best_of(cls, name: str | None, scores: Selection, models: Sweep[ModelT]) -> Entrant[ModelT] | None:
+        """Return what the criterion selects in a family; None if no model has a score."""
+        if np.isnan(scores.maps[scores.criterion]).all():
+            return None
+        k, w = scores.place
+        model = models.model(k, w)
+        assert model is not None  # a model with a score is determined
+        found = {of: by[k].squares for of, by in models.scores[w].items()}
+        squares = {of: each for of, each in found.items() if each is not None}
+        return cls(name, scores.score, scores.effective_parameters, model, squares)
+
+    def may_replace(self, other: Entrant[ModelT], request: CriteriaRequest) -> bool:
+        """Whether this simpler model predicts no worse: the mean difference is within half its standard error.
+
+        Both by the criterion and by leave-one-out. A criterion without a scheme has scores alone.
+        """
+        if self.parameters >= other.parameters:
+            return self.score < other.score
+        names = {request.listed[0], "CMPRESS"} & self.squares.keys() & other.squares.keys()
+        if request.listed[0] not in names:
+            return self.score <= other.score
+        means = (_mean_and_error(self.squares[of] - other.squares[of], request) for of in names)
+        return all(mean <= 0.5 * error for mean, error in means)
+
+    def surely_better_than(self, other: Entrant[ModelT], request: CriteriaRequest) -> bool:
+        """Whether this model predicts better by more than the standard error of the mean difference."""
+        name = request.listed[0]
+        if name not in self.squares or name not in other.squares:
+            return False
+        mean, error = _mean_and_error(self.squares[name] - other.squares[name], request)
+        return mean + error < 0
+
+
+def _mean_and_error(differences: Floats, request: CriteriaRequest) -> tuple[float, float]:
+    """The weighted mean of differences, (n,), and its standard error."""
+    weights = request.data.weights
+    each = differences if weights is None else differences * weights / weights.mean()
+    return float(each.mean()), float(each.std() / math.sqrt(len(each)))
 
 
 def plain_map(design: Callable[[Basis], Design[ModelT]], data: Data) -> Candidates[ModelT]:
     """Return the candidate that is affine, or a homography if the design has denominators."""
     three = np.array([3])
     return Candidates(ThinPlateSpline, design, three, 3, partial(farthest_order, data.points), 0.0)
-
-
-def better_by_more_than_chance(old: Floats, new: Floats, weights: Floats | None = None) -> bool:
-    """Whether the mean of new squares, (n,), is below that of old ones by more than its standard error.
-
-    Examples
-    --------
-    >>> old = np.array([4.0, 5.0, 6.0, 5.0])
-    >>> better_by_more_than_chance(old, old - 1), better_by_more_than_chance(old, old - [9, -4, -4, 4])
-    (True, False)
-    """
-    difference = new - old if weights is None else (new - old) * weights / weights.mean()
-    return bool(difference.mean() + difference.std() / math.sqrt(len(difference)) < 0)
-
-
-def _squares(candidates: Candidates[ModelT], model: ModelT, request: CriteriaRequest) -> Floats:
-    """Squared prediction error of every datum, held out as the criterion says, (n,)."""
-    name, scorer = request.listed
-    fit = candidates.design(CardinalBasis(model.lifting)).fit(model.smoothing, request.threads)
-    cv = cross_validate_all(fit, {name: scorer.schemes[name]}, request.threads)[name]
-    squares = (cv.residuals.reshape(len(cv.rows), -1) ** 2).sum(axis=1)
-    return np.asarray(np.bincount(datum_of_row(fit)[cv.rows], squares, fit.n_data), dtype=np.float64)
-
-
-def _comparable(scores: Selection) -> Selection:
-    """Leave out PRESS, which averages over rows: not every family has as many."""
-    return replace(scores, maps={name: of for name, of in scores.maps.items() if name != "PRESS"})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -83,6 +83,12 @@ class Selection:
             tried = f"{self.weights[0]:.3g} to {self.weights[-1]:.3g}"
             chosen += f" and smoothing {self.smoothing:.3g} of {tried}"
         return f"{type(self).__name__}({chosen}, {self.criterion}={self.score:.4g})"
+
+    def showing(self, names: Container[str]) -> Self:
+        """Return the selection with some of its criteria."""
+        maps = {name: scores for name, scores in self.maps.items() if name in names}
+        undefined = {name: data for name, data in self.undefined.items() if name in names}
+        return replace(self, maps=maps, undefined=undefined)
 
     @property
     def curves(self) -> dict[str, Floats]:

@@ -34,6 +34,8 @@ class Sweep(Generic[ModelT]):
         See `Selection`.
     model : callable
         Returns the model at the positions of a count and a weight, or None if it is not determined.
+    scores : list of dict of str to list of Score
+        Scores by weight, criterion and count.
     """
 
     counts: Integers
@@ -43,6 +45,7 @@ class Sweep(Generic[ModelT]):
     parameters: Floats
     open: dict[int, int]
     model: Callable[[int, int], ModelT | None]
+    scores: list[dict[str, list[Score]]]
 
     @classmethod
     def of(
@@ -73,6 +76,7 @@ class Sweep(Generic[ModelT]):
             parameters,
             dict(zip(counts[smoothed].tolist(), lacks[smoothed].tolist(), strict=True)),
             model,
+            scores,
         )
 
     def best_models(self, selection: Selection) -> dict[int, ModelT]:
@@ -87,7 +91,7 @@ class Sweep(Generic[ModelT]):
 
     def selection(self, criterion: str, slack: float) -> Selection:
         """Let a criterion select."""
-        shared = {name: value for name, value in vars(self).items() if name != "model"}
+        shared = {name: value for name, value in vars(self).items() if name not in {"model", "scores"}}
         return Selection(criterion, **shared, slack=slack)
 
 

