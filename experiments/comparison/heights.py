@@ -20,7 +20,7 @@ TRACKS = 10
 """Lines that ships sail along."""
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def depth_map(path, scale):
     """Return the pixels with a depth, and the depths in m."""
     cloud = read_cloud(path, scale, max_data=None)
