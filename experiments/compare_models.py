@@ -225,7 +225,7 @@ def summary(ratios):
 def draw_ratios(records, tables, path):
     """Plot every method's median error relative to the best one's, a panel for each table and a line for each row."""
     heights = [len(table.draws) for table in tables]
-    size = 10, 1.5 + 0.45 * sum(heights) + 0.6 * len(tables)
+    size = 10, 1.5 + 0.36 * sum(heights) + 0.6 * len(tables)
     figure = Figure(figsize=size, layout="constrained", dpi=110)
     panels = figure.subplots(len(tables), sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for table, axes in zip(tables, panels, strict=True):

@@ -100,9 +100,9 @@ def warps_with_gaps(data):
 
 def surfaces_with_gaps(data):
     """Return the rows of surfaces that are judged in gaps."""
-    scenes = {f"{name} (400)": partial(heights.pixels, read, 400) for name, read in maps(data).items()}
+    scenes = {f"{name} (300)": partial(heights.pixels, read, 300) for name, read in maps(data).items()}
     for kind, text in (("independent", "noise"), ("correlated", "shared noise")):
-        scenes[f"random field, {text} (400)"] = partial(heights.field, kind, most=400)
+        scenes[f"random field, {text} (300)"] = partial(heights.field, kind, most=300)
     bent = data / "sheets" / "bent_paper_239.npz"
     if bent.exists():
         scenes["sheet in space"] = partial(heights.whole_sheet_in_space, bent, BENT_NOISE)
