@@ -30,9 +30,8 @@ class Sample:
     truth: np.ndarray
 
 
-def random_surface(random):
+def random_surface(random, length):
     """Return a function of points: waves in all directions, their frequencies those of a Gaussian correlation."""
-    length = log_uniform(random, *LENGTHS)
     frequencies, phases = random.normal(size=(WAVES, 2)) / length, random.uniform(0, 2 * np.pi, WAVES)
     return lambda points: np.cos(points @ frequencies.T + phases).sum(axis=1) * np.sqrt(2 / WAVES)
 
@@ -60,7 +59,7 @@ def sample(kind, draw):
         Of everything random.
     """
     random = np.random.default_rng(draw)
-    surface = random_surface(random)
+    surface = random_surface(random, log_uniform(random, *LENGTHS))
     level, reach = log_uniform(random, *NOISE), log_uniform(random, *REACH)
     number = round(log_uniform(random, *(CLUSTERED if kind == "clustered" else NUMBERS)))
     points = random.uniform(0, 1, (number, 2))

@@ -79,31 +79,43 @@ def automatic_spline(problem):
     return fitted(problem.test_source)
 
 
-def selected(problem, lifting, smoothing):
+def selected(problem, queries=False, **how):
     """Fit the warp or the surface that mexpress selects; all NaN if its criterion has no score at any count."""
-    data, how = (problem.source, problem.target), {"lifting": lifting, "smoothing": smoothing}
+    data, asked = (problem.source, problem.target), {"queries": problem.test_source} if queries else {}
     try:
-        if problem.target.ndim == 2:
-            return mx.select_warp(*data, image_size=problem.image_size, **how).warp(problem.test_source)
-        return mx.select_surface(*data, **how).surface(problem.test_source)
+        if problem.is_warp:
+            return mx.select_warp(*data, image_size=problem.image_size, **asked, **how).warp(
+                problem.test_source
+            )
+        return mx.select_surface(*data, **asked, **how).surface(problem.test_source)
     except ValueError as refusal:
         if not str(refusal).startswith("Invalid criterion."):
             raise
         return np.full_like(problem.test_target, np.nan)
 
 
+ONLY_WARPS = {
+    "homography": nearest_homography,
+    "affine map": nearest_plane,
+    "scikit-image TPS": interpolating_spline,
+}
+ONLY_SURFACES = {"plane": nearest_plane}
 SPLINES = {
     "scipy RBF leave-one-out": cross_validated_spline,
     "scipy RBF 10-fold": partial(cross_validated_spline, folds=FOLDS),
     "treverhines-rbf auto": automatic_spline,
 }
-OURS = {
-    f"mexpress {lifting}{name}": partial(selected, lifting=lifting, smoothing=smoothing)
-    for lifting in ("tps", "bspline", "affine")
-    for name, smoothing in (("", 0.0), (" auto", "auto"))
+DEFAULT = {"mexpress": selected}
+OTHERWISE = {
+    "mexpress bspline": partial(selected, lifting="bspline"),
+    "mexpress affine": partial(selected, lifting="affine"),
+    "mexpress smoothing=0": partial(selected, smoothing=0),
 }
-WARPS = {"homography": nearest_homography, "scikit-image TPS": interpolating_spline} | SPLINES | OURS
-SURFACES = {"plane": nearest_plane} | SPLINES | OURS
+IN_GAPS = {
+    "mexpress, queries": partial(selected, queries=True),
+    "mexpress CMPRESS": partial(selected, criterion="CMPRESS"),
+}
+METHODS = ONLY_WARPS | ONLY_SURFACES | SPLINES | DEFAULT | OTHERWISE | IN_GAPS
 
 
 def error(problem, method):

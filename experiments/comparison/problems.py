@@ -1,131 +1,126 @@
-"""Data to fit and truth to judge by: simulated images, tracked sheets, depth maps and terrain.
+"""The rows that methods are compared on: by name a function each, from the number of a draw to a `Problem`.
 
 Draw k of a row depends on k alone. A row whose data are not in the data directory is left out.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 
-import numpy as np
-from matplotlib.cbook import get_sample_data
-from skimage.transform import ProjectiveTransform
+from comparison import gaps, heights, matches
 
-from mexpress.io.clouds import read_cloud
-from mexpress.simulation import Configuration, correspondences
+SHEETS = {"hulk": None, "kinectpaper": matches.SIZE}
+"""Tracked sheets, and the size of their images if it is known."""
 
-SIZE = (640.0, 480.0)
-CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * SIZE
-STRONG = 2.0
-"""By what factor denominators differ at least, over the points, where perspective is said to be strong."""
+DEPTHS = {"TUM": ("TUM_depth.png", 5000.0), "PrimeSense": ("depth_00000.png", 1000.0)}
+"""Files of depth maps, and their units per metre."""
 
-UNSEEN = 3000
-"""Pixels of a depth map that judge, at most."""
+BENT_NOISE = 0.1
+"""Noise of the sheet in space, which is 25 wide."""
 
 
-@dataclass(frozen=True)
-class Problem:
-    """Data, (n, 2) -> (n, 2) of a warp or (n,) of a surface, and what the model should be at other points."""
-
-    source: np.ndarray
-    target: np.ndarray
-    test_source: np.ndarray
-    test_target: np.ndarray
-    image_size: tuple[float, float] | None = None
-
-
-def denominators(homography, points):
-    """Return the ratio of the largest to the least denominator of a homography at points; inf if one is 0."""
-    below = np.column_stack([points, np.ones(len(points))]) @ homography.params[2]
-    below = below / below[0]
-    return below.max() / below.min() if below.min() > 0 else np.inf
-
-
-def homography(number, draw):
-    """Match points of a plane under strong perspective, with noise of 1 px in both images."""
-    random = np.random.default_rng(draw)
-    strength = 0.0
-    while not STRONG < strength < 2 * STRONG:
-        moved = CORNERS + random.uniform(0, 0.45, (4, 2)) * SIZE * np.sign(0.5 * np.array(SIZE) - CORNERS)
-        truth = ProjectiveTransform.from_estimate(CORNERS, moved)
-        strength = denominators(truth, CORNERS)
-    source, unseen = random.uniform(0, 1, (number, 2)) * SIZE, random.uniform(0, 1, (1000, 2)) * SIZE
-    noise = random.normal(size=(2, number, 2))
-    return Problem(source + noise[0], truth(source) + noise[1], unseen, truth(unseen), SIZE)
-
-
-def tracked(path, noise, size, draw):
-    """Match two views of a sheet that deforms; a third of the points judges, as measured."""
-    random = np.random.default_rng(draw)
-    with np.load(path) as arrays:
-        views = arrays["image_points"]
-    first, second = views[random.choice(len(views), 2, replace=False)]
-    mixed = random.permutation(len(first))
-    train, test = np.split(mixed, [round(2 * len(first) / 3)])
-    noisy = second[train] + noise * random.normal(size=(len(train), 2))
-    return Problem(first[train], noisy, first[test], second[test], size)
-
-
-def sheet(number, draw):
-    """Match two images of a simulated sheet, under strong perspective, with noise of 1 px in both."""
-    random = np.random.default_rng(draw)
-    strength = 0.0
-    while strength < STRONG:
-        pair = random.choice(10, 2, replace=False)
-        where = Configuration(int(pair[0]), int(pair[1]), int(random.integers(5)))
-        matches = correspondences(where, number, seed=draw)
-        nearest = ProjectiveTransform.from_estimate(matches.dense_source, matches.dense_target)
-        strength = denominators(nearest, matches.dense_source)
-    dense = matches.dense_source, matches.dense_target
-    return Problem(matches.source, matches.target, *dense, matches.image_size)
-
-
-@lru_cache(maxsize=1)
-def depth_map(path, scale):
-    """Return the pixels with a depth, and the depths in m."""
-    cloud = read_cloud(path, scale, max_data=None)
-    return cloud.points, cloud.values
-
-
-@lru_cache(maxsize=1)
-def terrain():
-    """Return the pixels of the Jacksboro elevations, and the elevations in m."""
-    with get_sample_data("jacksboro_fault_dem.npz") as archive:
-        elevation = archive["elevation"].astype(float)
-    row, column = np.indices(elevation.shape)
-    return np.column_stack([column.ravel(), row.ravel()]).astype(float), elevation.ravel()
-
-
-def pixels(read, number, draw):
-    """Take some pixels of a map for data, and others to judge."""
-    points, values = read()
-    mixed = np.random.default_rng(draw).permutation(len(points))
-    train, test = mixed[:number], mixed[number : number + UNSEEN]
-    return Problem(points[train], values[train], points[test], values[test])
-
-
-def warps(data: Path) -> dict[str, Callable[[int], Problem]]:
-    """Return by row what draws its matches."""
-    rows = {f"homography ({n})": partial(homography, n) for n in (30, 100, 300)}
-    for name, size in (("hulk", None), ("kinectpaper", SIZE)):
+def warps(data):
+    """Return the rows of matches as dense as what judges."""
+    rows = {f"homography ({n})": partial(matches.homography, n) for n in (30, 100, 300)}
+    for name, size in SHEETS.items():
         path = data / "sheets" / f"{name}.npz"
         if path.exists():
-            rows[f"{name} as measured"] = partial(tracked, path, 0.0, size)
-            rows[f"{name} + 2 px"] = partial(tracked, path, 2.0, size)
-    return rows | {f"simulated sheets ({n})": partial(sheet, n) for n in (50, 150)}
+            rows[f"{name} as measured"] = partial(matches.tracked, path, 0.0, size)
+            rows[f"{name} + 2 px"] = partial(matches.tracked, path, 2.0, size)
+    rows |= {f"simulated sheets ({n})": partial(matches.sheet, n) for n in (50, 150)}
+    graf, boat = data / "flat" / "H1to3p.xml", data / "flat" / "boat_matches.npz"
+    if graf.exists():
+        rows["graf 1 to 3 (100)"] = partial(matches.graf, graf, 100)
+    if boat.exists():
+        rows["boat"] = partial(matches.inliers, boat)
+    scenes = {"homography": matches.homography, "simulated sheets": matches.sheet}
+    for name, scene in scenes.items():
+        rows[f"{name} (100), clustered"] = partial(matches.clustered, scene, 100)
+    for name, scene in scenes.items():
+        rows[f"{name} (100), shared noise"] = partial(matches.shaken, scene, 100)
+    return rows
 
 
-def surfaces(data: Path) -> dict[str, Callable[[int], Problem]]:
-    """Return by row what draws its depths."""
-    files = {"TUM": ("TUM_depth.png", 5000.0), "PrimeSense": ("depth_00000.png", 1000.0)}
-    maps = {
-        name: partial(depth_map, data / "depth" / file, scale)
-        for name, (file, scale) in files.items()
-        if (data / "depth" / file).exists()
+def few(data):
+    """Return the rows of 12 to 30 matches."""
+    rows = {
+        f"old map, {kind} ({n})": partial(matches.old_map, kind, n)
+        for kind in ("affine", "perspective", "bent")
+        for n in (12, 20, 30)
     }
-    return {
-        f"{name} ({n})": partial(pixels, read, n)
-        for name, read in (maps | {"Jacksboro": terrain}).items()
+    rows |= {f"homography ({n})": partial(matches.homography, n) for n in (12, 20)}
+    adam = data / "flat" / "adam_matches.npz"
+    return rows | ({"adam": partial(matches.inliers, adam)} if adam.exists() else {})
+
+
+def maps(data):
+    """Return by name what reads a map."""
+    files = {name: (data / "depth" / file, scale) for name, (file, scale) in DEPTHS.items()}
+    read = {name: partial(heights.depth_map, *given) for name, given in files.items() if given[0].exists()}
+    return read | {"Jacksboro": heights.terrain, "motorcycle": heights.disparities}
+
+
+def surfaces(data):
+    """Return the rows of surfaces."""
+    rows = {
+        f"{name} ({n})": partial(heights.pixels, read, n)
+        for name, read in maps(data).items()
         for n in (300, 1000)
     }
+    rows["Jacksboro, tracks"] = partial(heights.tracks, heights.terrain, 400)
+    kinds = {"independent": "noise", "correlated": "shared noise", "clustered": "clustered"}
+    rows |= {f"random field, {text}": partial(heights.field, kind) for kind, text in kinds.items()}
+    bent = data / "sheets" / "bent_paper_239.npz"
+    if bent.exists():
+        rows["sheet in space"] = partial(heights.sheet_in_space, bent, 0.0)
+        rows["sheet in space + noise"] = partial(heights.sheet_in_space, bent, BENT_NOISE)
+    return rows
+
+
+def cut(scenes):
+    """Return the rows with discs cut out, and those with a side cut off."""
+    return {
+        f"{name}: {kind}": partial(gaps.with_gaps, scene, how)
+        for kind, how in (("discs", gaps.discs), ("side", gaps.side))
+        for name, scene in scenes.items()
+    }
+
+
+def warps_with_gaps(data):
+    """Return the rows of matches that are judged in gaps."""
+    scenes = {
+        "homography (100)": partial(matches.homography, 100),
+        "simulated sheets (100)": partial(matches.sheet, 100),
+        "old map, bent (40)": partial(matches.old_map, "bent", 40),
+    }
+    for name, size in SHEETS.items():
+        path = data / "sheets" / f"{name}.npz"
+        if path.exists():
+            scenes[name] = partial(matches.all_tracked, path, size)
+    return cut(scenes)
+
+
+def surfaces_with_gaps(data):
+    """Return the rows of surfaces that are judged in gaps."""
+    scenes = {f"{name} (300)": partial(heights.pixels, read, 300) for name, read in maps(data).items()}
+    for kind, text in (("independent", "noise"), ("correlated", "shared noise")):
+        scenes[f"random field, {text} (300)"] = partial(heights.field, kind, most=300)
+    bent = data / "sheets" / "bent_paper_239.npz"
+    if bent.exists():
+        scenes["sheet in space"] = partial(heights.whole_sheet_in_space, bent, BENT_NOISE)
+    return cut(scenes)
+
+
+FEW = "Warps of 12 to 30 matches"
+GAPS = ("Warps, judged in gaps", "Surfaces, judged in gaps")
+TABLES = {
+    "Warps": warps,
+    FEW: few,
+    "Surfaces": surfaces,
+    GAPS[0]: warps_with_gaps,
+    GAPS[1]: surfaces_with_gaps,
+}
+"""Rows by the title of their table."""
+
+
+def drawn(data, row, draw):
+    """Return a draw of a row."""
+    return {name: scene for rows in TABLES.values() for name, scene in rows(data).items()}[row](draw)
