@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 import mexpress as mx
 
 DRAWS, FEW = 12, 4
-IN_GAPS, MANY = 24, 48
+IN_GAPS, MANY = 12, 24
 """Draws of gaps, and of rows that differ more or are judged by few points: real matches, and few matches."""
 
 OURS, ASKED = "mexpress", "mexpress, queries"
