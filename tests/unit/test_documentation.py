@@ -42,6 +42,7 @@ def taken_for_granted():
         "source": source,
         "target": target,
         "problems": [(source, target), (target, source)],
+        "confidence": np.linspace(0, 1, len(source)),
         "points": source,
         "A": rng.normal(size=(200, 120)),
         "b": rng.normal(size=200),
