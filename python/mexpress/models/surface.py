@@ -3,16 +3,18 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import EDGE, area, inside
+from mexpress.geometry import EDGE, Region, area, inside
 from mexpress.io import meshes
-from mexpress.models.base import Model
+from mexpress.models.design import CardinalBasis, Design, linear_design
+from mexpress.models.expectation import FittedModel
+from mexpress.models.observations import Observations
 
 _SAMPLES = 10_000
 """Default number of samples of a grid inside the domain, approximately."""
@@ -70,7 +72,7 @@ class SurfaceGrid:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface(Model):
+class Surface(FittedModel):
     """A smooth map from points of the plane to depths, or to points in space.
 
     Value a at a point q is nu(q) . p_a, with the lifting nu and column p_a of the parameters.
@@ -87,6 +89,8 @@ class Surface(Model):
         it.
     smoothing : float
         Weight of the bending energy in its fit.
+    data : Observations, optional
+        The data of its fit, for `error`, `covers` and `interval`.
 
     Raises
     ------
@@ -292,6 +296,14 @@ class Surface(Model):
         else:
             texture = self._texture(points) if self._dimension == 3 else None
             meshes.write_obj(path, vertices, triangles, normals, texture)
+
+    def _design(self, data: Observations) -> Design[Self]:
+        functions = CardinalBasis(self.lifting)
+        design = linear_design(functions, data.points, data.values, Region(self.domain), type(self))
+        return design.weighted(data.weights)
+
+    def _units(self, points: Floats) -> Floats:
+        return np.ones(len(points))
 
     @property
     def _columns(self) -> Floats:

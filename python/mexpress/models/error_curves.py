@@ -1,0 +1,212 @@
+"""The error of a model's predictions as a function of the distance to the nearest datum."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress._validation import Floats, Integers
+from mexpress.geometry import Region, hull, inside
+from mexpress.index_sets import compress
+from mexpress.leastsquares.model import LeastSquares, cross_validate_all
+from mexpress.schemes import Places, Scheme
+
+_RADII = 10
+"""Number of radii besides 0."""
+
+_LARGEST_SHARE = 0.5
+"""Largest share of the data that are held out for one prediction."""
+
+_FEWEST, _MOST, _WORK = 100, 300, 10**6
+"""How many data are predicted: _WORK / n, within these limits."""
+
+_KNOTS, _SMALLEST, _LARGEST = 8, 10, 60
+"""Predictions are averaged in groups: so many groups at least, if they have the smallest size, up to the largest."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorCurve:
+    """Errors that never fall with the distance to the nearest datum.
+
+    Parameters
+    ----------
+    distances : (k,) array
+        In the unit of the points, increasing.
+    errors : (k,) array
+        In the unit of the values.
+
+    Examples
+    --------
+    >>> curve = ErrorCurve(np.array([1.0, 3.0]), np.array([0.2, 0.6]))
+    >>> curve(np.array([0.0, 2.0, 6.0])).round(9)
+    array([0.2, 0.4, 1.2])
+    """
+
+    distances: Floats
+    errors: Floats
+
+    def __repr__(self) -> str:
+        (near, small), (far, large) = ((self.distances[k], self.errors[k]) for k in (0, -1))
+        return f"ErrorCurve({small:.4g} at {near:.4g} to {large:.4g} at {far:.4g})"
+
+    def __call__(self, distance: Floats) -> Floats:
+        """Return the errors at distances: linear between knots, constant before them, proportional beyond them."""
+        tested = np.interp(distance, self.distances, self.errors)
+        return np.asarray(tested * np.maximum(distance / self.reach, 1))
+
+    @property
+    def reach(self) -> float:
+        """Largest tested distance."""
+        return float(self.distances[-1])
+
+    @classmethod
+    def through(cls, distances: Floats, squares: Floats, weights: Floats) -> Self | None:
+        """Average squared errors in groups of similar distances, and make the averages monotone; None without data.
+
+        NaN marks what is undefined. The curve ends before the first group of which half is undefined.
+        """
+        order = np.argsort(distances, kind="stable")
+        number = max(1, math.ceil(len(order) / np.clip(len(order) // _KNOTS, _SMALLEST, _LARGEST)))
+        groups = []
+        for group in np.array_split(order, number):
+            known = group[np.isfinite(squares[group])]
+            if 2 * len(known) <= len(group):
+                break
+            shares = weights[known] / weights[known].sum()
+            groups.append((shares @ distances[known], shares @ squares[known], len(known)))
+        if not groups:
+            return None
+        where, averages, sizes = np.array(groups).T
+        return cls(where, np.sqrt(increasing(averages, sizes)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorCurves:
+    """Errors where a model interpolates, and where it extrapolates.
+
+    Parameters
+    ----------
+    inside : ErrorCurve
+        Of predictions inside the region of the data.
+    outside : ErrorCurve
+        Of predictions outside it.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> points = np.random.default_rng(0).uniform(0, 1, (100, 2))
+    >>> curves = mx.fit_surface(points, np.sin(6 * points[:, 0]), points[:30]).error_curves
+    >>> bool(curves.inside.errors[0] < curves.inside.errors[-1] < curves.outside.errors[-1])
+    True
+    """
+
+    inside: ErrorCurve
+    outside: ErrorCurve
+
+    def __repr__(self) -> str:
+        return f"ErrorCurves(inside={self.inside!r}, outside={self.outside!r})"
+
+    def __call__(self, distance: Floats, inside: NDArray[np.bool_]) -> Floats:
+        """Return the errors at distances; extrapolation is never better than interpolation."""
+        near = self.inside(distance)
+        return np.where(inside, near, np.maximum(near, self.outside(distance)))
+
+    @classmethod
+    def of(
+        cls, fit: LeastSquares, points: Floats, domain: Region, units: Floats, weights: Floats | None
+    ) -> Self:
+        """Predict some of the data with ever larger neighbourhoods held out.
+
+        Parameters
+        ----------
+        fit : LeastSquares
+            The fit of n data.
+        points : (n, 2) array
+            Their positions.
+        domain : Region
+            Region that they cover.
+        units : (n,) array
+            What the residuals of every datum are divided by.
+        weights : (n,) array or None
+            Weights of the data in the averages.
+        """
+        pairs = list(_neighbourhoods(points, domain))
+        data = np.array([pair.datum for pair in pairs])
+        held, validated = compress(pair.held_out for pair in pairs), compress(data[:, None])
+        residuals = cross_validate_all(fit, {"": Scheme(len(points), held, validated)}, None)[""].residuals
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            squares = (residuals.reshape(len(pairs), -1) ** 2).sum(axis=1) / units[data] ** 2
+        distances, outside = (
+            np.array(each) for each in zip(*((p.distance, p.outside) for p in pairs), strict=True)
+        )
+        shares = np.ones(len(pairs)) if weights is None else weights[data]
+        near, far = (
+            ErrorCurve.through(distances[some], squares[some], shares[some]) for some in (~outside, outside)
+        )
+        unknown = ErrorCurve(np.ones(1), np.full(1, np.inf))
+        near = near or far or unknown
+        return cls(near, far or near)
+
+
+class Neighbourhood(NamedTuple):
+    """A datum, what is held out with it, how far the other data are, and whether it is outside their region."""
+
+    datum: int
+    held_out: Integers
+    distance: float
+    outside: bool
+
+
+def _neighbourhoods(points: Floats, domain: Region) -> Iterator[Neighbourhood]:
+    """Hold out ever larger neighbourhoods of data that are spread as the data are."""
+    n = len(points)
+    number = min(n, int(np.clip(_WORK // n, _FEWEST, _MOST)))
+    data = Places(points).order[np.linspace(0, n - 1, number).round().astype(np.int64)]
+    corner = (points[:, None] == domain.corners).all(axis=2).any(axis=1)
+    most = max(1, math.floor(_LARGEST_SHARE * n))
+    distances = np.hypot(*(points[data][:, None] - points).transpose(2, 0, 1))
+    nearest, farthest = np.median(np.partition(distances, (1, most), axis=1)[:, [1, most]], axis=0)
+    radii = np.append(0, np.geomspace(max(nearest, 1e-9 * farthest), farthest, _RADII))
+    for datum, row in zip(data.tolist(), distances, strict=True):
+        size = 0
+        for radius in radii:
+            held_out = np.flatnonzero(row <= radius)
+            if len(held_out) > most:
+                break
+            if len(held_out) > size:
+                size, others = len(held_out), row > radius
+                outside = bool(corner[held_out].any()) and not _within(points[others], points[datum])
+                yield Neighbourhood(datum, held_out, float(row[others].min()), outside)
+
+
+def _within(points: Floats, place: Floats) -> bool:
+    try:
+        corners = hull(points, "points")
+    except ValueError:  # on a line
+        return False
+    return bool(inside(corners, *place[:, None])[0])
+
+
+def increasing(values: Floats, sizes: Floats) -> Floats:
+    """Return the closest increasing sequence, by least squares with weights: pool adjacent violators.
+
+    Examples
+    --------
+    >>> increasing(np.array([1.0, 4.0, 2.0, 5.0]), np.array([1.0, 1.0, 1.0, 2.0]))
+    array([1., 3., 3., 5.])
+    """
+    blocks: list[tuple[float, float, int]] = []
+    for value, size in zip(values.tolist(), sizes.tolist(), strict=True):
+        mean, weight, length = value, size, 1
+        while blocks and blocks[-1][0] >= mean:
+            other, more, longer = blocks.pop()
+            mean = (mean * weight + other * more) / (weight + more)
+            weight, length = weight + more, length + longer
+        blocks.append((mean, weight, length))
+    means, _, lengths = zip(*blocks, strict=True)
+    return np.repeat(means, lengths)
