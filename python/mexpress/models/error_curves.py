@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import Region, hull, inside
+from mexpress.geometry import Region, hull, inside, nearest
 from mexpress.index_sets import compress
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Places, Scheme
@@ -22,10 +22,17 @@ _RADII = 10
 _LARGEST_SHARE = 0.5
 """Largest share of the data that are held out for one prediction."""
 
-_FEWEST, _MOST, _WORK = 100, 300, 10**6
-"""How many data are predicted: _WORK / n, within these limits."""
+_FEWEST, _MOST, _WORK = 60, 100, 400_000
+"""Neighbourhoods of each radius: _WORK / n, within these limits."""
 
-_KNOTS, _SMALLEST, _LARGEST = 8, 10, 60
+_PREDICTED = 9
+"""Data that are predicted in a neighbourhood, at most: its centre, and others that are spread over it.
+
+At its centre a neighbourhood is like the smallest gap with that distance to the data. Alone, the centres promise too
+much of wider gaps.
+"""
+
+_KNOTS, _SMALLEST, _LARGEST = 8, 10, 200
 """Predictions are averaged in groups: so many groups at least, if they have the smallest size, up to the largest."""
 
 
@@ -135,16 +142,16 @@ class ErrorCurves:
         weights : (n,) array or None
             Weights of the data in the averages.
         """
-        pairs = list(_neighbourhoods(points, domain))
-        data = np.array([pair.datum for pair in pairs])
-        held, validated = compress(pair.held_out for pair in pairs), compress(data[:, None])
-        residuals = cross_validate_all(fit, {"": Scheme(len(points), held, validated)}, None)[""].residuals
+        gaps = list(_neighbourhoods(points, domain))
+        held, validated = compress(gap.held_out for gap in gaps), compress(gap.predicted for gap in gaps)
+        scheme = Scheme(len(points), held, validated)
+        residuals = cross_validate_all(fit, {"": scheme}, None)[""].residuals
+        data = validated.indices
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            squares = (residuals.reshape(len(pairs), -1) ** 2).sum(axis=1) / units[data] ** 2
-        distances, outside = (
-            np.array(each) for each in zip(*((p.distance, p.outside) for p in pairs), strict=True)
-        )
-        shares = np.ones(len(pairs)) if weights is None else weights[data]
+            squares = (residuals.reshape(len(data), -1) ** 2).sum(axis=1) / units[data] ** 2
+        distances = np.concatenate([gap.distances for gap in gaps])
+        outside = np.concatenate([gap.outside for gap in gaps])
+        shares = np.ones(len(data)) if weights is None else weights[data]
         near, far = (
             ErrorCurve.through(distances[some], squares[some], shares[some]) for some in (~outside, outside)
         )
@@ -153,43 +160,56 @@ class ErrorCurves:
         return cls(near, far or near)
 
 
-class Neighbourhood(NamedTuple):
-    """A datum, what is held out with it, how far the other data are, and whether it is outside their region."""
+class Gap(NamedTuple):
+    """A neighbourhood that is held out, and the data that are predicted in it."""
 
-    datum: int
     held_out: Integers
-    distance: float
-    outside: bool
+    predicted: Integers
+    distances: Floats
+    """From the predicted data to the nearest datum that is not held out."""
+    outside: NDArray[np.bool_]
+    """Whether they are outside the region of the data that are not held out."""
 
 
-def _neighbourhoods(points: Floats, domain: Region) -> Iterator[Neighbourhood]:
+def _neighbourhoods(points: Floats, domain: Region) -> Iterator[Gap]:
     """Hold out ever larger neighbourhoods of data that are spread as the data are."""
-    n = len(points)
-    number = min(n, int(np.clip(_WORK // n, _FEWEST, _MOST)))
-    data = Places(points).order[np.linspace(0, n - 1, number).round().astype(np.int64)]
+    n, order = len(points), Places(points).order
+    number = int(np.clip(_WORK // n, _FEWEST, _MOST))
+    centres = _spread(order, number)
     corner = (points[:, None] == domain.corners).all(axis=2).any(axis=1)
     most = max(1, math.floor(_LARGEST_SHARE * n))
-    distances = np.hypot(*(points[data][:, None] - points).transpose(2, 0, 1))
-    nearest, farthest = np.median(np.partition(distances, (1, most), axis=1)[:, [1, most]], axis=0)
-    radii = np.append(0, np.geomspace(max(nearest, 1e-9 * farthest), farthest, _RADII))
-    for datum, row in zip(data.tolist(), distances, strict=True):
+    distances = np.hypot(*(points[centres][:, None] - points).transpose(2, 0, 1))
+    nearest_one, farthest = np.median(np.partition(distances, (1, most), axis=1)[:, [1, most]], axis=0)
+    radii = np.append(0, np.geomspace(max(nearest_one, 1e-9 * farthest), farthest, _RADII))
+    for centre, row in zip(centres.tolist(), distances, strict=True):
         size = 0
         for radius in radii:
-            held_out = np.flatnonzero(row <= radius)
-            if len(held_out) > most:
+            within = row <= radius
+            if within.sum() > most:
                 break
-            if len(held_out) > size:
-                size, others = len(held_out), row > radius
-                outside = bool(corner[held_out].any()) and not _within(points[others], points[datum])
-                yield Neighbourhood(datum, held_out, float(row[others].min()), outside)
+            if within.sum() > size:
+                size, others = int(within.sum()), points[~within]
+                predicted = np.union1d(centre, _spread(order[within[order]], _PREDICTED - 1))
+                places = points[predicted]
+                outside = np.zeros(len(places), dtype=np.bool_)
+                if corner[within].any():
+                    outside = _outside(others, places)
+                yield Gap(np.flatnonzero(within), predicted, nearest(places, others)[1], outside)
 
 
-def _within(points: Floats, place: Floats) -> bool:
+def _spread(ordered: Integers, number: int) -> Integers:
+    """Take every so many."""
+    return ordered[
+        np.unique(np.linspace(0, len(ordered) - 1, min(number, len(ordered))).round().astype(np.int64))
+    ]
+
+
+def _outside(points: Floats, places: Floats) -> NDArray[np.bool_]:
     try:
         corners = hull(points, "points")
     except ValueError:  # on a line
-        return False
-    return bool(inside(corners, *place[:, None])[0])
+        return np.ones(len(places), dtype=np.bool_)
+    return ~inside(corners, *places.T)
 
 
 def increasing(values: Floats, sizes: Floats) -> Floats:

@@ -42,7 +42,7 @@ class FittedModel(Model):
     def error(self, points: ArrayLike) -> Floats:
         """Return the error to expect at points, from the distance to the nearest datum.
 
-        Some of the data, at most 300, are predicted from the others, with ever larger neighbourhoods held out (local
+        Data in up to 100 places are predicted from the others, with ever larger neighbourhoods held out (local
         exclusion, equations 12 and 13); control points and smoothing stay. The root mean square of these prediction
         errors, as a function of the distance to the nearest datum that is not held out, is the error to expect at that
         distance.

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -39,6 +40,8 @@ class SurfaceGrid:
         True for samples inside the domain or on its edge.
     triangles : ndarray of int, (t, 3)
         Triangles inside the domain, counter-clockwise; sample (row, column) has index row * columns + column.
+    surface : Surface
+        The surface that is sampled.
 
     Examples
     --------
@@ -60,6 +63,7 @@ class SurfaceGrid:
     values: Floats
     inside: NDArray[np.bool_]
     triangles: Integers
+    surface: "Surface"
 
     def __repr__(self) -> str:
         rows, columns = self.inside.shape
@@ -69,6 +73,32 @@ class SurfaceGrid:
     def points(self) -> Floats:
         """Positions of all samples, row after row, (rows * columns, 2)."""
         return _positions(self.x, self.y)
+
+    @cached_property
+    def error(self) -> Floats:
+        """Error to expect at every sample, (rows, columns), see `Surface.error`; NaN outside the domain.
+
+        The values of depths with 1.96 times the error to either side are a band for measurements.
+
+        Raises
+        ------
+        ValueError
+            If the surface has no data.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> points = np.random.default_rng(0).uniform(0, 6, (300, 2))
+        >>> grid = mx.fit_surface(points, np.sin(points[:, 0]), points[:50]).grid()
+        >>> band = grid.values - 1.96 * grid.error, grid.values + 1.96 * grid.error
+        >>> truth = np.sin(grid.x)
+        >>> bool(np.mean((band[0] < truth) & (truth < band[1]), where=grid.inside) > 0.9)
+        True
+        """
+        errors = np.full(self.inside.shape, np.nan)
+        if self.inside.any():
+            errors[self.inside] = self.surface.error(self.points[self.inside.ravel()])
+        return errors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -240,7 +270,7 @@ class Surface(FittedModel):
         values = np.full((*within.shape, *self.parameters.shape[1:]), np.nan)
         if within.any():
             values[within] = self(_positions(x, y)[within.ravel()])
-        return SurfaceGrid(x, y, values, within, _triangles(within))
+        return SurfaceGrid(x, y, values, within, _triangles(within), self)
 
     def write_mesh(
         self,

@@ -17,7 +17,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
-from mexpress.models import CardinalBasis, Design, ModelT
+from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
@@ -138,6 +138,21 @@ class FittedSelection(Selection, Generic[ModelT]):
         from mexpress.plotting import plot_radii  # noqa: PLC0415 - an extra
 
         return plot_radii(self.radii(), path, unit=self._unit)
+
+    def plot_error(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Plot the error to expect of the selected model, see `mexpress.Surface.error` (extra ``plot``).
+
+        A map of the domain, hatched where the error has not been tested, and the error by the distance to the data.
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        """
+        from mexpress.plotting import plot_error  # noqa: PLC0415 - an extra
+
+        assert isinstance(self._model, FittedModel)  # as warps and surfaces are
+        return plot_error(self._model, path, unit=self._unit)
 
     def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
         """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
