@@ -25,11 +25,12 @@ _LARGEST_SHARE = 0.5
 _FEWEST, _MOST, _WORK = 60, 100, 400_000
 """Neighbourhoods of each radius: _WORK / n, within these limits."""
 
-_PREDICTED = 9
-"""Data that are predicted in a neighbourhood, at most: its centre, and others that are spread over it.
+_PREDICTED, _EDGE = 9, 1 / 3
+"""Data that are predicted in a neighbourhood, at most, and how deep inside it they are, in radii.
 
-At its centre a neighbourhood is like the smallest gap with that distance to the data. Alone, the centres promise too
-much of wider gaps.
+The centre is one of them, the others are spread. At its centre a neighbourhood is like the smallest gap with that
+distance to the data: alone, the centres promise too much of wider gaps. Near the edge it is like a much wider gap, and
+promises too little of places between data.
 """
 
 _KNOTS, _SMALLEST, _LARGEST = 8, 10, 200
@@ -155,9 +156,12 @@ class ErrorCurves:
         near, far = (
             ErrorCurve.through(distances[some], squares[some], shares[some]) for some in (~outside, outside)
         )
-        unknown = ErrorCurve(np.ones(1), np.full(1, np.inf))
-        near = near or far or unknown
-        return cls(near, far or near)
+        if near is None or far is None:
+            only = near or far or ErrorCurve(np.ones(1), np.full(1, np.inf))
+            return cls(only, only)
+        # The region of the data has no step at its edge.
+        edge = min(near.errors[0], far.errors[0])
+        return cls(near, ErrorCurve(np.append(0, far.distances), np.append(edge, far.errors)))
 
 
 class Gap(NamedTuple):
@@ -189,12 +193,13 @@ def _neighbourhoods(points: Floats, domain: Region) -> Iterator[Gap]:
                 break
             if within.sum() > size:
                 size, others = int(within.sum()), points[~within]
-                predicted = np.union1d(centre, _spread(order[within[order]], _PREDICTED - 1))
-                places = points[predicted]
-                outside = np.zeros(len(places), dtype=np.bool_)
+                some = np.union1d(centre, _spread(order[within[order]], _PREDICTED - 1))
+                reach = nearest(points[some], others)[1]
+                deep = (some == centre) | (reach > _EDGE * radius)
+                outside = np.zeros(deep.sum(), dtype=np.bool_)
                 if corner[within].any():
-                    outside = _outside(others, places)
-                yield Gap(np.flatnonzero(within), predicted, nearest(places, others)[1], outside)
+                    outside = _outside(others, points[some[deep]])
+                yield Gap(np.flatnonzero(within), some[deep], reach[deep], outside)
 
 
 def _spread(ordered: Integers, number: int) -> Integers:

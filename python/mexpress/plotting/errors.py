@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mexpress import _validation as check
 from mexpress.geometry import lattice, nearest
 from mexpress.models.expectation import FittedModel
+from mexpress.models.warp import Warp
 from mexpress.plotting.figures import (
     BLUE,
     GRAY,
@@ -35,7 +37,11 @@ _FEW = 1000
 
 
 def plot_error(
-    model: FittedModel, path: PathLike | None = None, *, unit: str | None = None, y_down: bool = True
+    model: FittedModel,
+    path: PathLike | None = None,
+    *,
+    image_size: tuple[float, float] | None = None,
+    unit: str | None = None,
 ) -> Figure:
     """Plot the error to expect of a warp or a surface, over its domain and against the distance to the data.
 
@@ -48,10 +54,10 @@ def plot_error(
         A model with its data.
     path : str or path, optional
         Where to save the figure; the suffix says how (.png, .pdf, .svg).
+    image_size : (width, height), optional
+        Of a depth map in pixels, if a surface's points are its pixels: y then points down, as it does for warps.
     unit : str, optional
         Of the error.
-    y_down : bool
-        Whether y points down, as in an image.
 
     Returns
     -------
@@ -72,8 +78,9 @@ def plot_error(
     >>> plot_error(mx.fit_surface(points, np.sin(points[:, 0]), points[:9]))
     <Figure size ...>
     """
+    y_down = check.image_size(image_size) is not None or isinstance(model, Warp)
     wide, high = np.ptp(model.domain, axis=0)
-    figure = new_figure(12.0, float(np.clip(1.2 + 6.4 * high / wide, 4.0, 9.0)))
+    figure = new_figure(12.0, float(np.clip(1.0 + 5.2 * high / wide, 4.0, 9.0)))
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1])
     colours = _draw_map(left, model)
     frame(left, model.domain, y_down)
@@ -121,12 +128,11 @@ def _draw_curves(axes: Axes, model: FittedModel, unit: str | None) -> None:
         axes.plot(knots, curve.errors[: len(knots)], "o", color=colour, ms=3)
     axes.set(xlim=(0, far), xlabel="distance to the nearest datum", ylabel=with_unit("error", unit))
     axes.set_ylim(bottom=0)
-    axes.set_title("error by distance", loc="left")
-    for part in (50, 95):
-        place = float(np.percentile(reach, part))
+    places = np.percentile(reach, (50, 95))
+    for place in places:
         axes.axvline(place, color=GRAY, lw=0.8, ls="--")
-        look: dict[str, Any] = {"textcoords": "offset points", "rotation": 90, "color": GRAY, "fontsize": 8}
-        note = f"{part} % of the domain is nearer"
-        axes.annotate(note, (place, 0), (3, 6), **look)
+    above = axes.secondary_xaxis("top")
+    above.set_xticks(places, ["50 %", "95 %"])
+    above.set_xlabel("of the domain is nearer to a datum")
     axes.grid(alpha=0.25, lw=0.6)
     axes.legend(loc="upper left", frameon=False)
