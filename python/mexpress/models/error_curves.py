@@ -90,7 +90,9 @@ class ErrorCurve:
         if not groups:
             return None
         where, averages, sizes = np.array(groups).T
-        return cls(where, np.sqrt(increasing(averages, sizes)))
+        return cls(
+            np.maximum.accumulate(where), np.sqrt(increasing(averages, sizes))
+        )  # rounding may mix equal ones
 
 
 @dataclass(frozen=True, eq=False, repr=False)

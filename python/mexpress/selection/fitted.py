@@ -225,8 +225,9 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> bool(np.abs(warp(source) - source - np.sin(source / 30)).max() < 0.2)
         True
         """
-        fit, design, stiffness = self._trials(threads).best(check.real(weights, "weights"))
-        return design.model(fit.coefficients, smoothing=stiffness)
+        given = check.real(weights, "weights")
+        fit, design, stiffness = self._trials(threads).best(given)
+        return design.weighted(given).model(fit.coefficients, smoothing=stiffness)
 
     def _trials(self, threads: int | None) -> Trials[ModelT]:
         data, lifting = self._kept_data, type(self._model.lifting)

@@ -1,7 +1,7 @@
 """How often 1.96 times `error` covers what is in gaps between the data, and `interval` what is like the data.
 
-Usage: ``python experiments/coverage.py [DATA] [--draws N] [--rows A,B]``; needs matplotlib, whose sample data have the
-terrain. DATA is a directory with any of
+Usage: ``python experiments/error_coverage.py [DATA] [--draws N] [--rows A,B]``; needs matplotlib, whose
+sample data have the terrain. DATA is a directory with any of
 
 sheets/NAME.npz   image_points (views, n, 2) of a sheet that deforms: hulk and kinectpaper
 depth/TUM_depth.png, depth_00000.png   depth maps
