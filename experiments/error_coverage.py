@@ -1,7 +1,7 @@
 """How often 1.96 times `error` covers what is in gaps between the data, and `interval` what is like the data.
 
-Usage: ``python experiments/error_coverage.py [DATA] [--draws N] [--rows A,B]``; needs matplotlib, whose
-sample data have the terrain. DATA is a directory with any of
+Usage: ``python experiments/error_coverage.py [DATA] [--draws N] [--rows A,B]``, or ``--times`` for what both cost;
+needs matplotlib, whose sample data have the terrain. DATA is a directory with any of
 
 sheets/NAME.npz   image_points (views, n, 2) of a sheet that deforms: hulk and kinectpaper
 depth/TUM_depth.png, depth_00000.png   depth maps
@@ -15,6 +15,7 @@ tracks   data along 6 to 13 lines, as ships sail; the gaps are what is between t
 """
 
 import argparse
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -32,6 +33,9 @@ DATA, ASKED = 500, 1000
 
 MOST = 250
 """Largest number of control points of a surface."""
+
+TIMED = ((300, 300), (2000, 300), (10_000, 300))
+"""Data and control points, of warps half as many, that are timed."""
 
 POOL = 30_000
 LEVEL = 0.9
@@ -147,6 +151,25 @@ def line(name, kind, shares):
     return f"| {name}, {kind} | {cells[0]} ({worst}) | {cells[1]} | {cells[2]} | {size} | {100 * interval.mean():.0f} |"
 
 
+def times() -> None:
+    """Print the table of CPU times."""
+    print("| data | control points | error | interval |", "|---|---|---|---|", sep="\n")
+    for number, count in TIMED:
+        random = np.random.default_rng(0)
+        points, asked = random.uniform(0, 1, (number, 2)), random.uniform(0, 1, (ASKED, 2))
+        depth = np.sin(6 * points[:, 0]) + random.normal(0, 0.1, number)
+        surface = mx.fit_surface(points, depth, points[:count], smoothing=1e-6)
+        moved = points + 0.1 * depth[:, None]
+        warp = mx.fit_warp(points, moved, points[: count // 2], smoothing=1e-6)
+        for model, what in ((surface, "surface"), (warp, "warp")):
+            spent = []
+            for ask in (model.error, model.interval):
+                start = time.process_time()
+                ask(asked)
+                spent.append(f"{time.process_time() - start:.1f}")
+            print(f"| {number} | {len(model.control_points)}, {what} | {' | '.join(spent)} |", flush=True)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -157,7 +180,11 @@ def main() -> None:
     parser.add_argument(
         "--rows", type=lambda text: text.split(","), default=[""], metavar="A,B", help="parts of names"
     )
+    parser.add_argument("--times", action="store_true", help="print CPU times instead")
     options = parser.parse_args()
+    if options.times:
+        times()
+        return
     rows = [
         (name, kind)
         for name in pools(options.data)
