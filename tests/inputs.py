@@ -22,6 +22,7 @@ LOO = s.leave_one_out(N)
 HALF = {"loo": s.leave_one_out(N // 2)}
 WEIGHTS = np.array([0.0, 7.0, 90.0])
 SURFACE = mx.fit_surface(POINTS, TARGET[:, 0], POINTS[:5])
+WARP = mx.fit_warp(POINTS, TARGET, POINTS[:4])
 
 
 def held(scheme):
@@ -102,7 +103,7 @@ ARRAYS = {
         POINTS[:5],
         lambda x: mx.fit_warp(POINTS, TARGET, x).parameters,
     ),
-    "Warp": ("points", POINTS, mx.fit_warp(POINTS, TARGET, POINTS[:4])),
+    "Warp": ("points", POINTS, WARP),
     "cross_validate_nested A": ("A", A, nested),
     "cross_validate_nested b": ("b", B, lambda x: nested(b=x)),
     "cross_validate_nested weights": ("weights", np.arange(1.0, N + 1), lambda x: nested(weights=x)),
@@ -145,6 +146,11 @@ ARRAYS = {
     "Surface": ("points", POINTS, SURFACE),
     "Surface derivatives": ("points", POINTS, SURFACE.derivatives),
     "Surface normals": ("points", POINTS, SURFACE.normals),
+    "Surface error": ("points", POINTS, SURFACE.error),
+    "Surface covers": ("points", POINTS, SURFACE.covers),
+    "Surface interval": ("points", POINTS, lambda x: SURFACE.interval(x, 0.8).upper),
+    "Warp error": ("points", POINTS, WARP.error),
+    "Warp interval": ("points", POINTS, lambda x: WARP.interval(x, 0.8).upper),
     "Cloud points": ("points", POINTS, lambda x: mx.Cloud(x, TARGET, None, N).points),
     "Cloud values": ("values", TARGET, lambda x: mx.Cloud(POINTS, x, None, N).values),
 }
@@ -168,6 +174,11 @@ ANY_LENGTH = {  # arrays of which any number of rows will do
     "Surface",
     "Surface derivatives",
     "Surface normals",
+    "Surface error",
+    "Surface covers",
+    "Surface interval",
+    "Warp error",
+    "Warp interval",
     "Surface domain",
 }
 INDICES = {
@@ -312,6 +323,8 @@ BAD_SMOOTHING = [
     {1.0: 2.0},
     ...,
 ]
+
+BAD_LEVELS = [0, 1, -0.1, 1.5, 90, np.nan, np.inf, None, True, "0.9", b"0.9", 1j, [0.9, 0.5], {}, ...]
 
 BAD_SEEDS = [-1, 1.5, "seed", [None], ...]
 

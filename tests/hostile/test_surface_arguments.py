@@ -6,12 +6,15 @@ from inputs import (
     BAD_COUNTS,
     BAD_COUPLINGS,
     BAD_INDICES,
+    BAD_LEVELS,
     BAD_SEEDS,
     BAD_SMOOTHING,
     HALF,
     LOO,
     POINTS,
+    SURFACE,
     TARGET,
+    WARP,
     A,
     B,
     N,
@@ -262,3 +265,23 @@ def test_bad_sizes_of_an_image(wrong):
 
 def test_a_cloud_has_no_fewer_valid_data_than_it_holds():
     refused(lambda: mx.Cloud(POINTS, TARGET, None, N - 1), "n_valid", ValueError)
+
+
+@pytest.mark.parametrize("model", [SURFACE, WARP], ids=["surface", "warp"])
+@pytest.mark.parametrize("wrong", BAD_LEVELS, ids=repr)
+def test_bad_levels_of_an_interval(model, wrong):
+    refused(lambda: model.interval(POINTS, wrong), "level")
+
+
+@pytest.mark.parametrize("model", [SURFACE, WARP], ids=["surface", "warp"])
+@pytest.mark.parametrize("wrong", [(POINTS, TARGET), {"points": POINTS}, POINTS, "data", 3], ids=type)
+def test_what_is_no_data_of_a_model(model, wrong):
+    refused(lambda: type(model)(model.lifting, model.parameters, model.domain, 0.0, wrong), "data", TypeError)
+
+
+@pytest.mark.parametrize("exponent", [-140, -30, 30, 140])
+def test_errors_and_intervals_follow_the_unit_of_values(exponent):
+    values, unit = TARGET[:, 0], 2.0**exponent
+    plain, scaled = (mx.fit_surface(POINTS, factor * values, POINTS[:5]) for factor in (1, unit))
+    np.testing.assert_allclose(scaled.error(POINTS), unit * plain.error(POINTS), rtol=1e-9)
+    np.testing.assert_allclose(scaled.interval(POINTS).upper, unit * plain.interval(POINTS).upper, rtol=1e-6)

@@ -246,9 +246,11 @@ def test_apply_is_the_surface(run, tmp_path, width):
     status, text, errors = run("apply", tmp_path / "s.npz", tmp_path / "p.csv")
     assert (status, errors) == (0, "")
     header, *rows = text.splitlines()
-    assert header == {1: "z", 2: "x,y", 3: "x,y,z", 4: "value1,value2,value3,value4"}[width]
-    values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    assert header == {1: "z", 2: "x,y", 3: "x,y,z", 4: "value1,value2,value3,value4"}[width] + ",error"
+    table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    values = table[:, :-1]
     np.testing.assert_array_equal(values, surface(SHEET[:9, :2]))
+    np.testing.assert_array_equal(table[:, -1], surface.error(SHEET[:9, :2]))
     status, text, _ = run("apply", tmp_path / "s.npz", tmp_path / "p.csv", "--out", tmp_path / "v.csv")
     assert (status, text) == (0, "")
     if width == 2:
@@ -259,8 +261,9 @@ def test_apply_of_a_depth(run, tmp_path, model):
     (tmp_path / "p.csv").write_text("0.5 0.5\n-3 0.1\n")
     status, text, errors = run("apply", model, tmp_path / "p.csv")
     assert status == 0
-    depths = mx.load(model)([[0.5, 0.5], [-3, 0.1]])
-    assert text == f"z\n{depths[0]}\n{depths[1]}\n"
+    surface, points = mx.load(model), [[0.5, 0.5], [-3, 0.1]]
+    (near, far), (expected, guess) = surface(points), surface.error(points)
+    assert text == f"z,error\n{near},{expected}\n{far},{guess}\n"
     assert "1 of 2 points are outside the region of the data: the surface extrapolates there" in errors
 
 

@@ -286,3 +286,33 @@ def test_radii_of_a_selection(selection, tmp_path):
     figure = selection.plot_radii(tmp_path / "radii.png")
     assert is_drawn(tmp_path / "radii.png")
     assert "pixels" in figure.axes[0].get_ylabel()
+
+
+def test_errors_of_a_selection(selection, tmp_path):
+    figure = selection.plot_error(tmp_path / "error.png")
+    assert is_drawn(tmp_path / "error.png")
+    map_, by_distance = figure.axes[:2]
+    low, high = map_.get_ylim()
+    assert low > high  # y points down
+    curve = selection.warp.error_curves.inside
+    drawn = [line.get_xydata() for line in by_distance.lines]
+    shown = curve.distances <= by_distance.get_xlim()[1]
+    assert any(np.array_equal(xy, np.column_stack([curve.distances, curve.errors])[shown]) for xy in drawn)
+    assert "pixels" in by_distance.get_ylabel()
+    hatched = [artist for artist in map_.collections if getattr(artist, "hatches", None)]
+    assert hatched  # the corners of the bounding box, at least
+    colours = np.asarray(map_.collections[0].get_array()).ravel()
+    assert np.nanmin(colours) == pytest.approx(curve.errors[0], rel=0.05)
+
+
+def test_errors_of_a_surface_have_y_as_an_image_or_a_map(tmp_path):
+    surface = mx.fit_surface(SOURCE, TARGET[:, 0], SOURCE[:9])
+    for size, downward in ((None, False), ((WIDTH, HEIGHT), True)):
+        low, high = plotting.plot_error(surface, image_size=size, unit="m").axes[0].get_ylim()
+        assert (low > high) == downward
+
+
+def test_unknown_errors_are_drawn_without_colours(tmp_path):
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
+    plotting.plot_error(mx.fit_surface(square, [0, 2, 2, 5], square), tmp_path / "error.png")
+    assert (tmp_path / "error.png").exists()

@@ -11,8 +11,9 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.cli import common
+from mexpress.geometry import inside
 from mexpress.io import matches
-from mexpress.models import files
+from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
 from mexpress.models.warp import Warp
 
@@ -23,7 +24,9 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "apply",
         help="evaluate a saved model at points",
         description="Map points from the source image to the target image with the warp in a file, or evaluate "
-        "the surface in a file at points: a depth as column z, a point in space as columns x, y, z.",
+        "the surface in a file at points: a depth as column z, a point in space as columns x, y, z. If the model has "
+        "the data of its fit, a column error has the error to expect: the root mean square difference from a "
+        "measurement, its norm if there are several values.",
     )
     add = parser.add_argument
     add(
@@ -36,7 +39,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
     add(
         "--inverse",
         action="store_true",
-        help="of a warp: from the target image to the source image; nan where impossible",
+        help="of a warp: from the target image to the source image; nan where impossible, and no errors",
     )
     add("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
     parser.set_defaults(run=_run)
@@ -47,21 +50,36 @@ def _run(arguments: argparse.Namespace) -> None:
     points = matches.read_points(arguments.points)
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
-        _write(mapped, arguments.out)
+        _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         _warn_doubtful(model, mapped if arguments.inverse else points, mapped)
     elif isinstance(model, Surface):
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
-        _write(model(points), arguments.out)
+        _write(model(points), _error(model, points), arguments.out)
         common.warn_outside(model.domain, points, len(points), "the region of the data: the surface")
     else:
         check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
 
 
-def _write(values: Floats, path: Path | None) -> None:
+def _error(model: FittedModel, points: Floats) -> Floats | None:
+    """Return the error to expect, if the model has its data, and warn of gaps that are too wide to know."""
+    if model.data is None:
+        return None
+    error = model.error(points)
+    wide = (inside(model.domain, *points.T) & ~model.covers(points)).sum()
+    if wide:
+        common.warn(
+            f"{wide} of {len(points)} points are in gaps of the data wider than errors could be tested in"
+        )
+    return error
+
+
+def _write(values: Floats, error: Floats | None, path: Path | None) -> None:
     table = values.reshape(len(values), -1)
-    names = {1: ("z",), 2: ("x", "y"), 3: ("x", "y", "z")}
+    names = {1: ["z"], 2: ["x", "y"], 3: ["x", "y", "z"]}
     columns = names.get(table.shape[1]) or [f"value{k}" for k in range(1, table.shape[1] + 1)]
+    if error is not None:
+        table, columns = np.column_stack([table, error]), [*columns, "error"]
     if path is None:
         matches.write_points_csv(sys.stdout, table, columns)
         return

@@ -12,6 +12,10 @@ from mexpress.models.design import (
     fractional_design,
     linear_design,
 )
+from mexpress.models.error_curves import ErrorCurve, ErrorCurves
+from mexpress.models.expectation import FittedModel
+from mexpress.models.jackknife import Interval
+from mexpress.models.observations import Observations
 from mexpress.models.surface import Surface, SurfaceGrid
 from mexpress.models.warp import Warp
 
@@ -19,11 +23,16 @@ __all__ = [
     "Basis",
     "CardinalBasis",
     "Design",
+    "ErrorCurve",
+    "ErrorCurves",
+    "FittedModel",
     "FractionalDesign",
+    "Interval",
     "LinearDesign",
     "Model",
     "ModelT",
     "NestedBasis",
+    "Observations",
     "Surface",
     "SurfaceGrid",
     "Warp",

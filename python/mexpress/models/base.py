@@ -16,6 +16,7 @@ from mexpress._validation import Floats
 from mexpress.geometry import Region
 from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.models import files
+from mexpress.models.observations import Observations
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,12 +33,15 @@ class Model(ABC):
         Points of the fit, or the region that they cover. The model keeps their convex hull and extrapolates outside it.
     smoothing : float
         Weight of the bending energy in its fit.
+    data : Observations, optional
+        The data of its fit.
     """
 
     lifting: Lifting
     parameters: Floats
     domain: Floats
     smoothing: float = 0.0
+    data: Observations | None = None
     kind: ClassVar[str]
 
     def __init_subclass__(cls) -> None:
@@ -53,6 +57,8 @@ class Model(ABC):
             object.__setattr__(self, name, array)
         rule = "It must be a number of at least 0."
         object.__setattr__(self, "smoothing", check.number(self.smoothing, "smoothing", rule, 0.0))
+        if not (self.data is None or isinstance(self.data, Observations)):
+            check.refuse("data", "They must be Observations.", check.describe(self.data), TypeError)
 
     @abstractmethod
     def _checked_parameters(self) -> Floats:
@@ -62,9 +68,9 @@ class Model(ABC):
     def __call__(self, points: ArrayLike) -> Floats:
         """Return the model's values at points, (k, 2)."""
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Lifting, Floats, Floats, float]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # Caches are not pickled, and unpickled arrays are read-only again.
-        return type(self), (self.lifting, self.parameters, self.domain, self.smoothing)
+        return type(self), (self.lifting, self.parameters, self.domain, self.smoothing, self.data)
 
     def _description(self) -> str:
         smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""
@@ -102,8 +108,11 @@ class Model(ABC):
         --------
         >>> import mexpress as mx
         >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
-        >>> list(mx.fit_warp(square, square, square[:3]).to_arrays())
+        >>> arrays = mx.fit_warp(square, square, square[:3]).to_arrays()
+        >>> list(arrays)[:5]
         ['lifting', 'control_points', 'parameters', 'domain', 'smoothing']
+        >>> list(arrays)[5:]
+        ['points', 'values', 'over_data']
         """
         return {
             "lifting": np.array(self.lifting.name),
@@ -111,6 +120,7 @@ class Model(ABC):
             "parameters": self.parameters,
             "domain": self.domain,
             "smoothing": np.array(self.smoothing),
+            **({} if self.data is None else self.data.to_arrays()),
         }
 
     @classmethod
@@ -130,4 +140,5 @@ class Model(ABC):
         Warp(fractional tps, 3 control points)
         """
         lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
-        return cls(lifting, arrays["parameters"], arrays["domain"], float(arrays["smoothing"]))
+        smoothing, data = float(arrays["smoothing"]), Observations.from_arrays(arrays)
+        return cls(lifting, arrays["parameters"], arrays["domain"], smoothing, data)

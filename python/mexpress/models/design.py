@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, Generic, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -30,7 +30,7 @@ from mexpress.geometry import Region
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import Lifting, NestedSplines, ThinPlateSpline
 from mexpress.models.base import Model
-from mexpress.models.warp import Warp
+from mexpress.models.observations import Observations
 
 ModelT = TypeVar("ModelT", bound=Model)
 
@@ -171,8 +171,10 @@ class Design(ABC, Generic[ModelT]):
         Functions of the model.
     domain : Region
         Region that the data cover.
-    weights : ndarray, (n,), or None
-        Weights of the data; 1 each if None.
+    kind : type
+        `Surface` or `Warp`.
+    data : Observations
+        The data, with their weights, which models keep.
     coupling : int
         Rows of A per datum.
     """
@@ -181,7 +183,8 @@ class Design(ABC, Generic[ModelT]):
     b: Floats
     basis: Basis
     domain: Region
-    weights: Floats | None = field(kw_only=True, default=None)
+    kind: type[ModelT]
+    data: Observations
     coupling: ClassVar[int] = 1
 
     def __repr__(self) -> str:
@@ -191,6 +194,11 @@ class Design(ABC, Generic[ModelT]):
     def count(self) -> int:
         """Number of control points."""
         return self.basis.count
+
+    @property
+    def weights(self) -> Floats | None:
+        """Weights of the data, (n,); 1 each if None."""
+        return self.data.weights
 
     @abstractmethod
     def columns(self, count: int) -> int:
@@ -214,9 +222,22 @@ class Design(ABC, Generic[ModelT]):
             Weight of the bending energy in the fit, which the model keeps.
         """
 
+    def _model(self, count: int, parameters: Floats, smoothing: float) -> ModelT:
+        # A Region passes as the array of its corners, and is not computed again.
+        domain = cast(Floats, self.domain)
+        return self.kind(self.basis.lifting(count), parameters, domain, smoothing, self.data)
+
+    @abstractmethod
+    def rows_at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return what a solution x becomes at points (k, 2): f numbers each, rows (f, k, p) @ x + constants (f, k)."""
+
+    @abstractmethod
+    def values_of(self, numbers: Floats) -> Floats:
+        """Return the values (..., d) of the model that such numbers (f, ..., r) mean."""
+
     def weighted(self, weights: Floats | None) -> Self:
         """Return the design with other weights of the data."""
-        return replace(self, weights=weights)
+        return replace(self, data=replace(self.data, weights=weights))
 
     def fit(self, smoothing: float = 0.0, threads: int | None = None) -> LeastSquares:
         """Fit the design with a weight of the bending energy."""
@@ -237,8 +258,6 @@ class LinearDesign(Design[ModelT]):
         Functions at the data.
     b : ndarray, (n,) or (n, d)
         Values at the data.
-    kind : type
-        `Surface` or `Warp`.
 
     Examples
     --------
@@ -253,8 +272,6 @@ class LinearDesign(Design[ModelT]):
     Surface(depth, tps, 3 control points)
     """
 
-    kind: type[ModelT]
-
     def columns(self, count: int) -> int:
         """Return the number of columns of the first control points: one each."""
         return count
@@ -267,11 +284,19 @@ class LinearDesign(Design[ModelT]):
         """Return the model of a solution, see `Design`."""
         count = self.count if count is None else count
         parameters = self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
-        return _model(self.kind, self.basis.lifting(count), parameters, self.domain, smoothing)
+        return self._model(count, parameters, smoothing)
+
+    def rows_at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the functions at points: every value is a number."""
+        return self.basis.at(points)[None], np.zeros((1, len(points)))
+
+    def values_of(self, numbers: Floats) -> Floats:
+        """Return the numbers, which are the values."""
+        return np.asarray(numbers[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FractionalDesign(Design[Warp]):
+class FractionalDesign(Design[ModelT]):
     """The algebraic error of a warp with a denominator, in pixels of the target image.
 
     The bending energy is the sum over the three functions of the warp, with the target centred and the denominator
@@ -294,9 +319,10 @@ class FractionalDesign(Design[Warp]):
     Examples
     --------
     >>> from mexpress.liftings import ThinPlateSpline
+    >>> from mexpress.models import Warp
     >>> square = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
     >>> homography = CardinalBasis(ThinPlateSpline(square[:3]))
-    >>> design = fractional_design(homography, square, 2 * square, Region.of(square))
+    >>> design = fractional_design(homography, square, 2 * square, Region.of(square), Warp)
     >>> design
     FractionalDesign(8 x 8, CardinalBasis(ThinPlateSpline(3 control points)))
     >>> design.model(design.fit().coefficients)
@@ -321,7 +347,7 @@ class FractionalDesign(Design[Warp]):
         _, rows[2][:, third] = self.basis.denominators(one, self.normal, 0.0)
         return self.scale * rows.reshape(3 * len(one), self.A.shape[1])
 
-    def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> Warp:
+    def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> ModelT:
         """Return the warp of a solution, see `Design`."""
         count = self.count if count is None else count
         first, second, third = (np.asarray(x, dtype=np.float64)[block] for block in self.basis.blocks(count))
@@ -332,7 +358,22 @@ class FractionalDesign(Design[Warp]):
             denominator, self.centre
         )
         parameters = np.column_stack([numerators, denominator])
-        return _model(Warp, self.basis.lifting(count), parameters, self.domain, smoothing)
+        return self._model(count, parameters, smoothing)
+
+    def rows_at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the rows of two numerators, of the centred target, and of the denominator."""
+        functions = self.basis.at(points)
+        first, second, third = self.basis.blocks(self.count)
+        constant, varying = self.basis.denominators(functions, self.normal)
+        rows = np.zeros((3, len(points), self.A.shape[1]))
+        rows[0][:, first] = rows[1][:, second] = self.scale * functions
+        rows[2][:, third] = varying
+        return rows, np.stack([0 * constant, 0 * constant, constant])
+
+    def values_of(self, numbers: Floats) -> Floats:
+        """Return target points: the centre plus numerators over denominators."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.centre + np.moveaxis(numbers[:2, ..., 0] / numbers[2, ..., 0], 0, -1))
 
 
 def linear_design(
@@ -343,12 +384,17 @@ def linear_design(
     `points` (n, 2) are finite; `values` (n,) or (n, d) are depths, points in space, or target points of a warp; `kind`
     is `Surface` or `Warp`.
     """
-    return LinearDesign(basis.at(points), values, basis, domain, kind)
+    return LinearDesign(basis.at(points), values, basis, domain, kind, Observations(points, values))
 
 
 def fractional_design(
-    basis: Basis, source: Floats, target: Floats, domain: Region, over_data: bool | None = None
-) -> FractionalDesign:
+    basis: Basis,
+    source: Floats,
+    target: Floats,
+    domain: Region,
+    kind: type[ModelT],
+    over_data: bool | None = None,
+) -> FractionalDesign[ModelT]:
     """Write the fit of a warp with a denominator as a linear least-squares problem (eqs. 16-21).
 
     The algebraic error of match i is s (t p_3 . nu - p . nu) for p = p_1, p_2 and t = x, y of the target point, centred
@@ -363,6 +409,8 @@ def fractional_design(
         Matches in pixels, finite.
     domain : Region
         Region that the source points cover.
+    kind : type
+        `Warp`.
     over_data : bool, optional
         Whether the denominators have mean one over the matches, as nested models need it. Otherwise their parameters
         have mean one, as in the paper (eq. 19): for a thin-plate spline that is the mean over the control points, and
@@ -383,11 +431,14 @@ def fractional_design(
     rows[:, 0, first] = rows[:, 1, second] = scale * functions
     rows[:, :, third] = -about[:, :, None] * varying[:, None, :]
     right = about * constant[:, None]
-    return FractionalDesign(rows.reshape(2 * n, -1), right.reshape(-1), basis, domain, centre, scale, normal)
-
-
-def _model(
-    kind: type[ModelT], lifting: Lifting, parameters: Floats, domain: Region, smoothing: float
-) -> ModelT:
-    # A Region passes as the array of its corners, and is not computed again.
-    return kind(lifting, parameters, cast(Floats, domain), smoothing)
+    return FractionalDesign(
+        rows.reshape(2 * n, -1),
+        right.reshape(-1),
+        basis,
+        domain,
+        kind,
+        Observations(source, target, over_data=over_data),
+        centre,
+        scale,
+        normal,
+    )

@@ -2,17 +2,20 @@
 
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import EDGE, area, inside
+from mexpress.geometry import EDGE, Region, area, inside
 from mexpress.io import meshes
-from mexpress.models.base import Model
+from mexpress.models.design import CardinalBasis, Design, linear_design
+from mexpress.models.expectation import FittedModel
+from mexpress.models.observations import Observations
 
 _SAMPLES = 10_000
 """Default number of samples of a grid inside the domain, approximately."""
@@ -37,6 +40,8 @@ class SurfaceGrid:
         True for samples inside the domain or on its edge.
     triangles : ndarray of int, (t, 3)
         Triangles inside the domain, counter-clockwise; sample (row, column) has index row * columns + column.
+    surface : Surface
+        The surface that is sampled.
 
     Examples
     --------
@@ -58,6 +63,7 @@ class SurfaceGrid:
     values: Floats
     inside: NDArray[np.bool_]
     triangles: Integers
+    surface: "Surface"
 
     def __repr__(self) -> str:
         rows, columns = self.inside.shape
@@ -68,9 +74,35 @@ class SurfaceGrid:
         """Positions of all samples, row after row, (rows * columns, 2)."""
         return _positions(self.x, self.y)
 
+    @cached_property
+    def error(self) -> Floats:
+        """Error to expect at every sample, (rows, columns), see `Surface.error`; NaN outside the domain.
+
+        The values of depths with 1.96 times the error to either side are a band for measurements.
+
+        Raises
+        ------
+        ValueError
+            If the surface has no data.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> points = np.random.default_rng(0).uniform(0, 6, (300, 2))
+        >>> grid = mx.fit_surface(points, np.sin(points[:, 0]), points[:50]).grid()
+        >>> band = grid.values - 1.96 * grid.error, grid.values + 1.96 * grid.error
+        >>> truth = np.sin(grid.x)
+        >>> bool(np.mean((band[0] < truth) & (truth < band[1]), where=grid.inside) > 0.9)
+        True
+        """
+        errors = np.full(self.inside.shape, np.nan)
+        if self.inside.any():
+            errors[self.inside] = self.surface.error(self.points[self.inside.ravel()])
+        return errors
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface(Model):
+class Surface(FittedModel):
     """A smooth map from points of the plane to depths, or to points in space.
 
     Value a at a point q is nu(q) . p_a, with the lifting nu and column p_a of the parameters.
@@ -87,6 +119,8 @@ class Surface(Model):
         it.
     smoothing : float
         Weight of the bending energy in its fit.
+    data : Observations, optional
+        The data of its fit, for `error`, `covers` and `interval`.
 
     Raises
     ------
@@ -236,7 +270,7 @@ class Surface(Model):
         values = np.full((*within.shape, *self.parameters.shape[1:]), np.nan)
         if within.any():
             values[within] = self(_positions(x, y)[within.ravel()])
-        return SurfaceGrid(x, y, values, within, _triangles(within))
+        return SurfaceGrid(x, y, values, within, _triangles(within), self)
 
     def write_mesh(
         self,
@@ -292,6 +326,14 @@ class Surface(Model):
         else:
             texture = self._texture(points) if self._dimension == 3 else None
             meshes.write_obj(path, vertices, triangles, normals, texture)
+
+    def _design(self, data: Observations) -> Design[Self]:
+        functions = CardinalBasis(self.lifting)
+        design = linear_design(functions, data.points, data.values, Region(self.domain), type(self))
+        return design.weighted(data.weights)
+
+    def _units(self, points: Floats) -> Floats:
+        return np.ones(len(points))
 
     @property
     def _columns(self) -> Floats:

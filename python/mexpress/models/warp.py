@@ -2,22 +2,24 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.geometry import diagonal, lattice, nearest
-from mexpress.models.base import Model
+from mexpress.geometry import Region, diagonal, lattice, nearest
+from mexpress.models.design import CardinalBasis, Design, fractional_design, linear_design
+from mexpress.models.expectation import FittedModel
+from mexpress.models.observations import Observations
 
 _SAMPLES = 1000
 """Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Warp(Model):
+class Warp(FittedModel):
     """A map from points of a source image to points of a target image.
 
     The deformable perspective warp (eqs. 16-21) is q' = (nu . p_1, nu . p_2) / (nu . p_3), with the lifting nu and the
@@ -36,6 +38,8 @@ class Warp(Model):
         extrapolates outside it.
     smoothing : float
         Weight of the bending energy in its fit.
+    data : Observations, optional
+        The data of its fit, for `error`, `covers` and `interval`.
 
     Raises
     ------
@@ -299,6 +303,16 @@ class Warp(Model):
     @cached_property
     def _samples(self) -> Floats:
         return lattice(self.domain, _SAMPLES)
+
+    def _design(self, data: Observations) -> Design[Self]:
+        given = CardinalBasis(self.lifting), data.points, data.values, Region(self.domain), type(self)
+        if self.fractional:
+            return fractional_design(*given, data.over_data).weighted(data.weights)
+        return linear_design(*given).weighted(data.weights)
+
+    def _units(self, points: Floats) -> Floats:
+        # An algebraic error is the transfer error times the denominator.
+        return np.abs(self._denominator(points))
 
     def _denominator(self, points: Floats) -> Floats:
         if not self.fractional:

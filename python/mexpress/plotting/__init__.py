@@ -11,12 +11,14 @@ Examples
 """
 
 from mexpress.plotting.curves import plot_selection
+from mexpress.plotting.errors import plot_error
 from mexpress.plotting.radii import plot_radii
 from mexpress.plotting.surfaces import plot_control_points, plot_residuals, plot_surface
 from mexpress.plotting.warps import plot_registration, plot_warp
 
 __all__ = [
     "plot_control_points",
+    "plot_error",
     "plot_radii",
     "plot_registration",
     "plot_residuals",

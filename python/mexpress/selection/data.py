@@ -91,7 +91,9 @@ class Matches:
     def design(self, basis: Basis, fractional: bool, over_data: bool | None = None) -> Design[Warp]:
         """Write the fit of a warp as a least-squares problem, see `mexpress.models.fractional_design`."""
         if fractional:
-            design: Design[Warp] = fractional_design(basis, self.source, self.target, self.domain, over_data)
+            design: Design[Warp] = fractional_design(
+                basis, self.source, self.target, self.domain, Warp, over_data
+            )
         else:
             design = linear_design(basis, self.source, self.target, self.domain, Warp)
         return design.weighted(self.weights)

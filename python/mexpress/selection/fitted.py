@@ -17,7 +17,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
-from mexpress.models import CardinalBasis, Design, ModelT
+from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
@@ -139,6 +139,21 @@ class FittedSelection(Selection, Generic[ModelT]):
 
         return plot_radii(self.radii(), path, unit=self._unit)
 
+    def plot_error(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Plot the error to expect of the selected model, see `mexpress.Surface.error` (extra ``plot``).
+
+        A map of the domain, hatched where the error has not been tested, and the error by the distance to the data.
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        """
+        from mexpress.plotting import plot_error  # noqa: PLC0415 - an extra
+
+        assert isinstance(self._model, FittedModel)  # as warps and surfaces are
+        return plot_error(self._model, path, unit=self._unit)
+
     def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
         """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
 
@@ -210,8 +225,9 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> bool(np.abs(warp(source) - source - np.sin(source / 30)).max() < 0.2)
         True
         """
-        fit, design, stiffness = self._trials(threads).best(check.real(weights, "weights"))
-        return design.model(fit.coefficients, smoothing=stiffness)
+        given = check.real(weights, "weights")
+        fit, design, stiffness = self._trials(threads).best(given)
+        return design.weighted(given).model(fit.coefficients, smoothing=stiffness)
 
     def _trials(self, threads: int | None) -> Trials[ModelT]:
         data, lifting = self._kept_data, type(self._model.lifting)

@@ -1,0 +1,138 @@
+"""Prediction intervals from all leave-one-out models of a design: jackknife+ in closed form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic
+
+import numpy as np
+
+from mexpress._validation import Floats
+from mexpress.leastsquares.model import cross_validate_all
+from mexpress.models.design import Design, ModelT
+from mexpress.schemes import leave_one_out
+
+_ENTRIES = 1 << 22
+"""Numbers that are in memory together, at most: a block of points times the data."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Interval:
+    """Lower and upper bounds of values.
+
+    Parameters
+    ----------
+    lower, upper : (k,) or (k, d) array
+        In the unit of the values; infinite where the data are too few for a bound.
+
+    Examples
+    --------
+    >>> Interval(np.zeros(2), np.array([1.0, 3.0]))
+    Interval(2 points, median width 2)
+    """
+
+    lower: Floats
+    upper: Floats
+
+    def __repr__(self) -> str:
+        return f"Interval({len(self.lower)} points, median width {np.median(self.upper - self.lower):.4g})"
+
+
+class Jackknife(Generic[ModelT]):
+    """All models of a design that leave out one datum, from one factorisation.
+
+    With an orthonormal basis Q of the weighted design over its penalty rows, Q R = [sqrt(w) A; sqrt(s) Z], the
+    coefficients without datum i are x - R^-1 Q_i^T sqrt(w_i) e_(i), e_(i) its leave-one-out residuals (equation 6).
+
+    Parameters
+    ----------
+    design : Design
+        Of n data.
+    smoothing : float
+        Weight of the bending energy.
+
+    Examples
+    --------
+    >>> from mexpress.geometry import Region
+    >>> from mexpress.models import NestedBasis, Surface, linear_design
+    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    >>> values, plane = np.array([0.0, 1.0, 1.0, 3.0]), NestedBasis(square[:3])
+    >>> design = linear_design(plane, square, values, Region.of(square), Surface)
+    >>> next(Jackknife(design, 0.0).predictions(square[3:]))[0, :, 0].round(9)
+    array([3., 3., 3., 2.])
+    """
+
+    def __init__(self, design: Design[ModelT], smoothing: float) -> None:
+        self._design = design
+        fit = design.fit(smoothing)
+        n, g = fit.n_data, design.coupling
+        roots = np.ones(n) if design.weights is None else np.sqrt(design.weights)
+        left_out = cross_validate_all(fit, {"": leave_one_out(n)}, None)[""].residuals
+        basis, self._triangle = np.linalg.qr(_stacked(design, roots, smoothing))
+        self._basis = basis[: g * n]
+        self._coefficients = fit.coefficients.reshape(len(self._triangle), -1)
+        self._changes = left_out.reshape(n, g, -1) * roots[:, None, None]
+
+    def residuals(self) -> Floats:
+        """Return how far every datum is from the model without it, (n, d); NaN if the others determine no model."""
+        data = self._design.data
+        n, g, _ = self._changes.shape
+        own = np.empty((n, data.values[0].size))
+        step = max(1, _ENTRIES // self._basis.size * n)
+        for first in range(0, n, step):
+            some = slice(first, first + step)
+            rows, numbers = self._whole(data.points[some])
+            basis = self._basis.reshape(n, g, -1)[some]
+            changes = np.einsum("fkp,kgp,kgr->fkr", rows, basis, self._changes[some], optimize=True)
+            own[some] = self._design.values_of(numbers - changes)
+        return data.values.reshape(own.shape) - own
+
+    def predictions(self, points: Floats) -> Iterator[Floats]:
+        """Return the values at points of the models without each datum, block by block of points: (block, n, d)."""
+        n, g, r = self._changes.shape
+        step = max(1, _ENTRIES // (3 * n * max(g, r)))
+        for first in range(0, len(points), step):
+            rows, numbers = self._whole(points[first : first + step])
+            together = (rows @ self._basis.T).reshape(*rows.shape[:2], n, g)
+            changes = np.einsum("fkng,ngr->fknr", together, self._changes, optimize=True)
+            yield self._design.values_of(numbers[:, :, None] - changes)
+
+    def _whole(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return rows at points over the orthonormal basis, (f, k, p), and numbers of the whole model, (f, k, r)."""
+        rows, constants = self._design.rows_at(points)
+        numbers = rows @ self._coefficients + constants[:, :, None]
+        flat = rows.reshape(-1, rows.shape[-1])
+        return np.linalg.solve(self._triangle.T, flat.T).T.reshape(rows.shape), numbers
+
+
+def jackknife_plus(design: Design[ModelT], smoothing: float, points: Floats, level: float) -> Interval:
+    """Return the jackknife+ interval of a design's model at points, (k, 2), see `FittedModel.interval`."""
+    jackknife = Jackknife(design, smoothing)
+    spread = np.abs(jackknife.residuals())
+    n = len(spread)
+    rank = math.floor((1 - level) * (n + 1) + 1e-9)  # (1 - 0.9) * 10 is below 1
+    bounds = [
+        (_smallest(_defined(values - spread), rank), -_smallest(_defined(-values - spread), rank))
+        for values in jackknife.predictions(points)
+    ]
+    shape = len(points), *design.data.values.shape[1:]
+    lower, upper = (np.concatenate(parts).reshape(shape) for parts in zip(*bounds, strict=True))
+    return Interval(lower, upper)
+
+
+def _defined(bounds: Floats) -> Floats:
+    return np.where(np.isnan(bounds), -np.inf, bounds)
+
+
+def _smallest(bounds: Floats, rank: int) -> Floats:
+    """Return the bound of a rank, counted from 1, along the second axis; minus infinity of rank 0."""
+    if rank == 0:
+        return np.full((len(bounds), *bounds.shape[2:]), -np.inf)
+    return np.asarray(np.partition(bounds, rank - 1, axis=1)[:, rank - 1])
+
+
+def _stacked(design: Design[ModelT], roots: Floats, smoothing: float) -> Floats:
+    weighted = design.A * np.repeat(roots, design.coupling)[:, None]
+    return np.vstack([weighted, math.sqrt(smoothing) * design.bending()]) if smoothing else weighted
