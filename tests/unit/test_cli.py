@@ -285,7 +285,7 @@ def test_as_a_process_whose_reader_leaves(tmp_path, model):
     np.savetxt(tmp_path / "p.csv", np.tile(SOURCE, (1000, 1)))
     command = [sys.executable, "-m", "mexpress", "apply", str(model), str(tmp_path / "p.csv")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "x,y\n"
+        assert process.stdout.readline() == "x,y,error\n"
         process.stdout.close()
         assert process.stderr.read() == ""
 
