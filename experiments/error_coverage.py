@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from comparison import fields, problems
+from comparison import fields, heights
 
 import mexpress as mx
 from mexpress.simulation import Configuration, correspondences
@@ -54,7 +54,8 @@ class Pool:
 def simulated(draw):
     """Draw a random surface with noise."""
     random = np.random.default_rng(draw)
-    surface, noise = fields.random_surface(random), fields.log_uniform(random, 0.02, fields.NOISE[1])
+    surface = fields.random_surface(random, fields.log_uniform(random, *fields.LENGTHS))
+    noise = fields.log_uniform(random, 0.02, fields.NOISE[1])
     points = random.uniform(0, 1, (POOL, 2))
     return Pool(points, surface(points), noise)
 
@@ -85,7 +86,7 @@ def pools(folder: Path | None) -> dict[str, Callable[[int], Pool]]:
     folder = folder or Path("nowhere")
     maps = {"TUM": ("TUM_depth.png", 5000.0), "PrimeSense": ("depth_00000.png", 1000.0)}
     depths = {
-        name: partial(pixels, partial(problems.depth_map, folder / "depth" / file, scale))
+        name: partial(pixels, partial(heights.depth_map, folder / "depth" / file, scale))
         for name, (file, scale) in maps.items()
         if (folder / "depth" / file).exists()
     }
@@ -94,7 +95,7 @@ def pools(folder: Path | None) -> dict[str, Callable[[int], Pool]]:
         for name in ("hulk", "kinectpaper")
         if (folder / "sheets" / f"{name}.npz").exists()
     }
-    terrain = {"Jacksboro": partial(pixels, problems.terrain)}
+    terrain = {"Jacksboro": partial(pixels, heights.terrain)}
     return {"simulated surfaces": simulated} | terrain | depths | {"simulated sheets": sheet} | sheets
 
 
