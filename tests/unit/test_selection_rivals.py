@@ -340,3 +340,14 @@ def test_fits_take_weights():
     plain = np.column_stack([SOURCE[:8], np.ones(8)])
     x = np.linalg.lstsq(roots[:8, None] * plain, roots[:8, None] * (AFFINE[:8] + NOISE[:8]), rcond=None)[0]
     np.testing.assert_allclose(few(SOURCE[:8]), plain @ x, rtol=1e-9)
+
+
+def test_what_a_caller_does_to_the_arrays_later_changes_nothing():
+    source, target, weights = SOURCE.copy(), AFFINE + NOISE, np.ones(N)
+    selection = mx.select_warp(source, target, weights=weights)
+    before = selection.warp.error(SOURCE + 5)
+    other = mx.select_warp(source, target, weights=weights)
+    for array in (source, target, weights):
+        array[:] = 1e3
+    np.testing.assert_array_equal(other.warp.error(SOURCE + 5), before)
+    assert other.least_squares().fit_rms == selection.rivals["affine map"].curves["FIT"][0]

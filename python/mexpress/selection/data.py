@@ -52,7 +52,8 @@ class Matches:
         cls, source: ArrayLike, target: ArrayLike, image_size: Any = None, weights: ArrayLike | None = None
     ) -> Matches:
         """Check matches: n pairs of finite points; source points whose weight is not 0 are not on a line."""
-        source, target = check.points(source, "source"), check.points(target, "target")
+        # Copies: models keep their data, whatever becomes of the caller's arrays.
+        source, target = check.points(source, "source").copy(), check.points(target, "target").copy()
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)}")
@@ -129,8 +130,8 @@ class Samples:
     @classmethod
     def of(cls, points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None) -> Samples:
         """Check data: n finite points with a value each; points whose weight is not 0 are not on a line."""
-        points = check.points(points, "points")
-        values, shares = check.columns(values, "values", len(points)), _weights(weights, len(points))
+        points = check.points(points, "points").copy()
+        values, shares = check.columns(values, "values", len(points)).copy(), _weights(weights, len(points))
         return cls(points, values, shares, Region(hull(_present(points, shares), "points")))
 
     def subset(self, some: Integers) -> Samples:
@@ -192,7 +193,7 @@ def _weights(weights: ArrayLike | None, n: int) -> Floats | None:
         check.refuse("weights", rule, f"shape {shares.shape}")
     if check.finite(shares, "weights").min() < 0 or shares.max() == 0:
         check.refuse("weights", rule, f"{shares.min():g} for datum {int(shares.argmin())}")
-    return shares
+    return shares.copy()
 
 
 def _present(points: Floats, weights: Floats | None) -> Floats:
