@@ -1,12 +1,14 @@
 """What smoothing as a second axis costs, and nested placement against Lloyd's.
 
 Run ``python benches/smoothing.py map`` (60 counts x 20 weights of 2,000 matches against one sweep without smoothing),
-``python benches/smoothing.py auto`` (the time of smoothing="auto"), or ``python benches/smoothing.py placement [N]``
-(true errors on N simulated sheets).
+``python benches/smoothing.py auto`` (the time and the memory of smoothing="auto"), ``python benches/smoothing.py caps``
+(true errors and times by the largest number of control points), or ``python benches/smoothing.py placement [N]`` (true
+errors on N simulated sheets).
 """
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 from collections.abc import Callable
@@ -18,6 +20,7 @@ from mexpress import simulation
 from mexpress.selection.weights import smoothing_weights
 
 COUNTS = range(3, 63)
+CAPS = (150, 200, 250, 300)
 CRITERIA = ["FIT", "CMPRESS"]
 
 
@@ -55,11 +58,45 @@ def time_map() -> None:
 
 
 def time_auto() -> None:
-    for n in (50, 150, 300, 1000):
+    for n in (50, 150, 300, 1000, 2000, 10_000):
         source, target = bent(n)
         seconds = timed(lambda s=source, t=target: mx.select_warp(s, t, smoothing="auto"))
         depth = timed(lambda s=source, t=target: mx.select_surface(s, t[:, 0], smoothing="auto"))
-        print(f"n = {n}: warp {seconds:.2f} s, surface {depth:.2f} s")
+        peak = (
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+            >> 20
+        )
+        print(
+            f"n = {n}: warp {seconds:.2f} s, surface {depth:.2f} s; {peak} MiB at the peak of the process so far"
+        )
+
+
+def waves(length: float, random: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """A random field over the plane with this correlation length, and a standard deviation of one."""
+    frequencies = random.normal(size=(200, 2)) / length
+    phases = random.uniform(0, 2 * np.pi, 200)
+    return lambda points: np.cos(points @ frequencies.T + phases).sum(axis=1) / 10
+
+
+def compare_caps() -> None:
+    """True errors and CPU seconds in rough fields, medians of three draws: 20 px of bending, noise of 0.5 px."""
+    for n in (400, 2000):
+        for length in (300.0, 150.0, 80.0):
+            rows = []
+            for seed in range(3):
+                random = np.random.default_rng(seed)
+                bend = [waves(length, random) for _ in "xy"]
+                source, unseen = random.uniform(0, 1000, (n, 2)), random.uniform(20, 980, (3000, 2))
+                moved = [p + 20 * np.column_stack([f(p) for f in bend]) for p in (source, unseen)]
+                target = moved[0] + random.normal(0, 0.5, source.shape)
+                for most in CAPS:
+                    start = time.process_time()
+                    warp = mx.select_warp(source, target, criteria=[], counts=[3, most]).warp
+                    seconds = time.process_time() - start
+                    rows.append((np.sqrt(((warp(unseen) - moved[1]) ** 2).sum(1).mean()), seconds))
+            middle = np.median(np.reshape(rows, (3, len(CAPS), 2)), axis=0)
+            cells = " | ".join(f"{error:.2f} px, {seconds:.1f} s" for error, seconds in middle)
+            print(f"| {n} | {length:g} px | {cells} |", flush=True)
 
 
 def compare_placements(number: int) -> None:
@@ -93,6 +130,8 @@ if __name__ == "__main__":
             time_map()
         case ["auto"]:
             time_auto()
+        case ["caps"]:
+            compare_caps()
         case ["placement", *number]:
             compare_placements(int(number[0]) if number else 20)
         case _:
