@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import warnings
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -22,8 +23,9 @@ from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import Data, part, present
+from mexpress.selection.robust import THRESHOLD, find_wrong
 from mexpress.selection.selection import Selection
-from mexpress.suspicion import Suspects, suspects
+from mexpress.suspicion import Suspects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,6 +60,9 @@ class FittedSelection(Selection, Generic[ModelT]):
 
     data: Any
     left_out: Integers = field(kw_only=True, default_factory=lambda: np.zeros(0, dtype=np.int64))
+    again: Callable[[Integers], Any] = field(kw_only=True, default=None)  # type: ignore[assignment]
+    """Returns the selection for some of the data, given their indices, with the same settings."""
+
     _unit: ClassVar[str | None] = None
     """Unit of the values, if it is known."""
 
@@ -154,19 +159,23 @@ class FittedSelection(Selection, Generic[ModelT]):
         assert isinstance(self._model, FittedModel)  # as warps and surfaces are
         return plot_error(self._model, path, unit=self._unit)
 
-    def suspects(self, threshold: float = 5.0, radius: float = 5.0, threads: int | None = None) -> Suspects:
-        """Find the data that their neighbourhoods predict badly: wrong matches, wrong depths.
+    def suspects(
+        self, threshold: float = THRESHOLD, radius: float = 0.0, threads: int | None = None
+    ) -> Suspects:
+        """Find the data that contradict this selection made without them: wrong matches, wrong depths.
 
-        Wrong data disturb the selection too. So ER10 selects the model again in every round, among three numbers of
-        control points and seven weights of the bending energy. This is no RANSAC: if half of the data are wrong, it
-        warns that its result is doubtful.
+        The selection is repeated, with its own settings, for the data that are not suspected, until these stay the
+        same; see `mexpress.selection.robust.find_wrong`. This is no RANSAC: if half of the data are wrong, it warns
+        that its result is doubtful.
 
         Parameters
         ----------
-        threshold : float, default 5
-            Studentised prediction residuals above it are suspicious.
-        radius : float, default 5
-            Every datum is predicted with all data within this percentage of the diagonal held out.
+        threshold : float, default 6
+            Data with larger prediction errors are suspicious, in units of the noise or, where they are larger, of the
+            errors of the data around.
+        radius : float, default 0
+            Every datum is predicted with all data within this percentage of the diagonal held out; only itself by
+            default. A radius is for wrong data in clusters.
         threads : int, optional
             Largest number of threads.
 
@@ -174,12 +183,12 @@ class FittedSelection(Selection, Generic[ModelT]):
         -------
         Suspects
             Scores of all data, indices of the suspected data with the worst first, and weights for a refit; see
-            `mexpress.suspicion.suspects`.
+            `mexpress.suspicion.Suspects`. Data of weight 0 have no score.
 
         Raises
         ------
         ValueError, TypeError
-            If the threshold or the radius is not a positive number.
+            If the threshold is not a positive number, or the radius not a number of at least 0.
 
         Examples
         --------
@@ -188,18 +197,24 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> source = np.random.default_rng(0).uniform(0, 100, (60, 2))
         >>> target = source + np.sin(source / 30)
         >>> target[7] += 20
-        >>> mx.select_warp(source, target, counts=[3, 9]).suspects().indices
+        >>> mx.select_warp(source, target).suspects().indices
         array([7])
         """
-        data = self._kept_data
-        scheme = Places(data.points).within(check.positive(radius, "radius") / 100 * data.diagonal, threads)
-        trials = self._trials(threads)
-        return suspects(
-            lambda weights: trials.best(weights)[0], scheme, data.values, threshold, threads=threads
+        limit = check.positive(threshold, "threshold")
+        share = check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
+        some = present(self.data)
+        data = part(self.data, some)
+        found = find_wrong(
+            data, lambda kept: self.again(some[kept]), limit, share / 100 * data.diagonal, threads=threads
         )
+        scores = np.full(len(self.data.points), np.nan)
+        scores[some] = found.scores
+        return replace(found, scores=scores)
 
     def reweighted(self, weights: ArrayLike, threads: int | None = None) -> ModelT:
-        """Select and fit the model again with weights of the data, among the models that `suspects` tries.
+        """Select and fit the model again with weights of the data, among a few models.
+
+        Deprecated: `select_warp` and `select_surface` leave wrong data out with `robust`, and take `weights`.
 
         Parameters
         ----------
@@ -212,19 +227,9 @@ class FittedSelection(Selection, Generic[ModelT]):
         -------
         Warp or Surface
             A model of the kind of this selection.
-
-        Examples
-        --------
-        >>> import mexpress as mx
-        >>> import numpy as np
-        >>> source = np.random.default_rng(0).uniform(0, 100, (60, 2))
-        >>> target = source + np.sin(source / 30)
-        >>> target[7] += 20
-        >>> selection = mx.select_warp(source, target, counts=[3, 9])
-        >>> warp = selection.reweighted(selection.suspects().weights)
-        >>> bool(np.abs(warp(source) - source - np.sin(source / 30)).max() < 0.2)
-        True
         """
+        instead = "reweighted is deprecated: select again, with robust=True or with weights."
+        warnings.warn(instead, DeprecationWarning, stacklevel=2)
         given = check.real(weights, "weights")
         fit, design, stiffness = self._trials(threads).best(given)
         return design.weighted(given).model(fit.coefficients, smoothing=stiffness)
@@ -265,14 +270,25 @@ def select_of(
 ) -> SelectionT_co:
     """Select for the data that are present, and tell of all data by their indices."""
     n, kept = len(data.points), present(data)
+    again = partial(_select_part, data, question, criteria if isinstance(criteria, Mapping) else [])
     if len(kept) == n:
-        return question.select(data, criteria, label)
+        return replace(question.select(data, criteria, label), again=again)
     selection = question.select(data.subset(kept), _restricted(criteria, kept, n), label)
     undefined = {
         name: {count: kept[lost] for count, lost in by_count.items()}
         for name, by_count in selection.undefined.items()
     }
-    return replace(selection, data=data, undefined=undefined)
+    return replace(selection, data=data, undefined=undefined, again=again)
+
+
+def _select_part(
+    data: Data,
+    question: Question[SelectionT_co],
+    criteria: Sequence[str] | Mapping[str, Scheme],
+    some: Integers,
+) -> SelectionT_co:
+    """Select for some of the data."""
+    return question.select(part(data, some), _restricted(criteria, some, len(data.points)), None)
 
 
 def _restricted(
