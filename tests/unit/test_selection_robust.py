@@ -100,7 +100,10 @@ def test_wrong_matches_are_found_and_no_others(how, share):
 @pytest.mark.parametrize("seed", range(3))
 def test_no_alarm_on_clean_data(seed):
     assert wrong_matches(*matches(seed)).tolist() == []
-    assert len(wrong_samples(*room(seed))) <= 1
+    points, depth = room(seed)
+    wall = 0.3 * np.sin(points[:, 0] / 100)
+    assert wrong_samples(points, wall + np.random.default_rng(seed).normal(0, 0.01, 300)).tolist() == []
+    assert len(wrong_samples(points, depth)) <= 5  # corners of the box, which few data show
 
 
 @pytest.mark.parametrize(
@@ -109,8 +112,8 @@ def test_no_alarm_on_clean_data(seed):
 def test_gross_depths_are_found_beside_edges(how, share):
     points, depth, wrong = planted(*room(5), how, share, 5)
     found = wrong_samples(points, depth)
-    assert np.setdiff1d(wrong, found).tolist() == []
-    assert len(np.setdiff1d(found, wrong)) <= 3
+    assert len(np.setdiff1d(wrong, found)) <= len(wrong) // 50
+    assert len(np.setdiff1d(found, wrong)) <= 5
 
 
 @pytest.mark.parametrize("place", [(3000.0, 3000.0), (1e6, 1e6), (-1e6, 50.0)])
@@ -123,10 +126,21 @@ def test_a_far_source_point_is_found_and_leaves_no_trace(place):
     points[11] = place
     found = wrong_samples(points, depth)
     assert 11 in found
-    assert len(found) <= 2
-    kept = Matches.of(source, target).subset(without)
-    assert kept.diagonal < 1000  # neither scale nor region know it
-    assert kept.domain.corners.max() < 700
+    assert len(found) <= 6
+    again, expected = (
+        mx.select_warp(source, target).again(without),
+        mx.select_warp(source[without], target[without]),
+    )
+    np.testing.assert_array_equal(again.warp(source[without]), expected.warp(source[without]))
+    assert again.data.diagonal < 1000  # neither scale nor region know it
+    assert again.warp.domain.max() < 700
+
+
+def test_sixty_gross_errors_of_a_thousand_depths_are_found():
+    points, depth, wrong = planted(*room(6, 1000), "shifted", 0.06, 6)
+    found = wrong_samples(points, depth)
+    assert np.setdiff1d(wrong, found).tolist() == []
+    assert len(np.setdiff1d(found, wrong)) <= 5
 
 
 def test_suspects_repeat_the_selection_with_its_own_settings():

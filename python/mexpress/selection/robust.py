@@ -3,8 +3,8 @@
 Wrong data bend the model that is to find them, and make the criterion choose another one. So the search starts from
 the neighbours of each datum alone (`agreeing`). Then a model is selected for the data that are kept, and all data are
 judged by its predictions, those in the fit with their own neighbourhood held out (`find_wrong`). A datum is wrong if
-its prediction error is large against the noise, and against the errors of the data around it: on rough ground, these are as
-large. Nor is a datum wrong that two of its nearest data share: it is beside an edge, or on a small thing.
+its prediction error is large against the noise, and against the errors of the data around it: on rough ground, these
+are as large. Nor is a depth wrong that two of its nearest data share: it is beside an edge, or on a small thing.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.schemes import Places
-from mexpress.selection.data import Data
+from mexpress.selection.data import Data, Matches
 from mexpress.suspicion import (
     ROUNDING,
     UNSETTLED_SHARE,
@@ -51,16 +51,13 @@ _START_ROUNDS = 4
 """The start leaves out errors beyond 20 times the median of those nearby: gross ones, which bend a model most."""
 
 _COMPANIONS = 6
-_SCENE = 30.0
-"""A datum that two of its six nearest data share is no error but a small thing in the scene, unless its value is beyond
-30 times the spread of all values, as placeholders are."""
+_SCENE = 20.0
+"""A depth that two of its six nearest data share is no error but a small thing in the scene, unless it is beyond 20
+times the spread of all depths, as placeholders are. Matches of one warp have no edges."""
 
 _NEAR = 12
 _QUARTILE = 0.75
 """Errors are compared with the upper quartile of those of the 12 nearest data."""
-
-_RETURN = 2.0
-"""Errors of data that are left out count twice, or wrong data would come back where others are still in the fit."""
 
 _ROUNDS = 5
 
@@ -114,13 +111,14 @@ def find_wrong(
     -------
     Suspects
         The scores of all data: prediction errors divided by the standard deviation of the noise or, if that is larger,
-        by the upper quartile of the errors of the 12 nearest kept data over that of noise. Wrong data are
+        for data in the fit, by the upper quartile of the errors of the 12 nearest over that of noise. Wrong data are
         `Suspects.indices`. A `SuspicionWarning` is issued if they are doubtful.
 
     Notes
     -----
     A round costs one selection; there are at most five, and one or two as a rule. Errors of data in the fit are
-    studentised; those of other data count twice, so that nothing comes back because other wrong data are in the fit.
+    studentised. Those of other data are compared with the noise alone, so that nothing comes back because other wrong
+    data are in the fit.
 
     Examples
     --------
@@ -225,12 +223,12 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
     """
     values = data.values.reshape(len(data.points), -1)
     distances = np.linalg.norm(values - np.median(values, axis=0), axis=1)
-    outside = distances > _SCENE * np.median(distances)
+    alone = isinstance(data, Matches) | (distances > _SCENE * np.median(distances))
     near = ~beyond_gaps(data.points)
     kept = near
     for _ in range(_START_ROUNDS):
         errors, slopes = _plane_errors(values, around, kept, np.random.default_rng(seed))
-        steps = np.where(outside, np.inf, around.steps(values, slopes))
+        steps = np.where(alone, np.inf, around.steps(values, slopes))
         errors = np.minimum(errors, steps)
         level = max(float(np.median(errors[kept])), ROUNDING * _spread(values[kept]))
         now = near & (errors <= _START * np.maximum(around.quantile(errors, kept, 0.5, _NEIGHBOURS), level))
@@ -337,16 +335,21 @@ def _scores(
     kept[some] = True
     away = (selection._model(data.points) - data.values).reshape(n, -1)
     errors = np.nan_to_num(np.sqrt((away**2).mean(axis=1)), nan=np.inf)  # beyond the horizon of a warp
-    errors *= _RETURN
     errors[some] = np.sqrt(squares / freedom)
     known = kept & np.isfinite(errors)
     per_row = int(freedom[0])
-    middle, upper = (np.sqrt(chi_square_quantile(share, per_row) / per_row) for share in (0.5, _QUARTILE))
-    sigma = max(float(np.median(errors[known]) / middle), ROUNDING * _spread(data.values[some]))
-    nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / upper
-    return np.minimum(errors, steps) / np.maximum(nearby, sigma or 1.0), sigma
+    noise = float(np.median(errors[known])) / _noise(0.5, per_row)
+    sigma = max(noise, ROUNDING * _spread(data.values[some]))
+    nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / _noise(_QUARTILE, per_row)
+    scale = np.where(kept, np.maximum(nearby, sigma), sigma) if sigma else 1.0
+    return np.minimum(errors, steps) / scale, sigma
 
 
 def _spread(values: Floats) -> float:
     """Root mean square deviation of values from their mean."""
     return float(np.sqrt(((values - values.mean(axis=0)) ** 2).mean()))
+
+
+def _noise(share: float, freedom: int) -> float:
+    """Quantile of the root mean square of so many independent measurements with noise of variance one."""
+    return float(np.sqrt(chi_square_quantile(share, freedom) / freedom))
