@@ -121,24 +121,29 @@ def error(select, points, values, left_out, unseen):
 
 
 def trial(select, seen, unseen, how, share, random):
-    """Plant, search, and return precision, recall, share of false alarms, and the ratio of errors."""
+    """Plant, search, and return recall, share of false alarms, and the ratio of errors."""
     points, values, wrong = (*seen, np.zeros(0, int)) if how is None else planted(*seen, how, share, random)
     found = select(points, values, criteria=[]).suspects().indices
     hits = len(np.intersect1d(found, wrong))
     errors = [error(select, points, values, out, unseen) for out in (found, wrong)]
-    precision = hits / len(found) if len(found) else math.nan
     recall = hits / len(wrong) if len(wrong) else math.nan
-    return precision, recall, (len(found) - hits) / len(points), errors[0] / errors[1]
+    return recall, (len(found) - hits) / len(points), errors[0] / errors[1]
 
 
-def show(name, how, share, trials):
-    """Print a line: means, and the median ratio of errors."""
+def cell(trials):
+    """Return recall and median ratio of errors as text, and the mean share of false alarms."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing planted, no recall
-        precision, recall, false, _ = np.nanmean(np.array(trials), axis=0)
-    ratio = np.median([t[3] for t in trials])
-    numbers = f"{precision:.2f} | {recall:.2f} | {100 * false:.1f} % | {ratio:.2f}"
-    print(f"| {name} | {how or 'none'} | {100 * share:.0f} % | {numbers} |".replace("nan", ""), flush=True)
+        recall, false, _ = np.nanmean(np.array(trials), axis=0)
+    ratio = np.median([t[2] for t in trials])
+    return f"{recall:.2f}, {ratio:.2f}".replace("nan, ", ""), false
+
+
+def show(name, how, by_share):
+    """Print a line: a cell for each share, and the largest share of false alarms."""
+    cells, false = zip(*map(cell, by_share), strict=True)
+    cells = [*cells, *[""] * (len(SHARES) - len(cells))]
+    print(f"| {name} | {how or 'none'} | {' | '.join(cells)} | {100 * max(false):.1f} % |", flush=True)
 
 
 def main():
@@ -148,9 +153,8 @@ def main():
     parser.add_argument("--draws", type=int, default=3)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SuspicionWarning)
-    print(
-        "| data | wrong | share | precision | recall | false alarms | error / by hand |\n|---|---|---|---|---|---|---|"
-    )
+    print("| data | wrong | " + " | ".join(f"{100 * share:.0f} %" for share in SHARES) + " | false alarms |")
+    print("|---" * (len(SHARES) + 3) + "|")
     for name, draw, path, select in sources(options.data):
         over_kinds = defaultdict(list)
         for seed in range(options.draws):
@@ -161,8 +165,7 @@ def main():
                     random = np.random.default_rng([seed, number, round(100 * share)])
                     over_kinds[how, share].append(trial(select, seen, unseen, how, share, random))
         for how in (None, *HOW):
-            for share in SHARES if how else [0.0]:
-                show(name, how, share, over_kinds[how, share])
+            show(name, how, [over_kinds[how, share] for share in (SHARES if how else [0.0])])
 
 
 if __name__ == "__main__":

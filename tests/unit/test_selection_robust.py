@@ -185,6 +185,15 @@ def test_threads_and_seeds():
     assert np.setxor1d(which, other).size <= 2
 
 
+def test_reweighted_still_works_and_is_deprecated():
+    source, target = matches(10)
+    target[7] += 40
+    selection = mx.select_warp(source, target)
+    with pytest.warns(DeprecationWarning, match="reweighted"):
+        warp = selection.reweighted(selection.suspects().weights)
+    assert np.hypot(*(warp(source) - bent(source, 10)).T).max() < 10
+
+
 def test_few_data_have_no_verdict():
     source = np.random.default_rng(0).uniform(0, 9, (FEWEST - 1, 2))
     found = find_wrong(Matches.of(source, source[::-1]), lambda some: pytest.fail("no selection is needed"))

@@ -282,7 +282,7 @@ def select_of(
 
 
 def _select_part(
-    data: Data,
+    data: Any,
     question: Question[SelectionT_co],
     criteria: Sequence[str] | Mapping[str, Scheme],
     some: Integers,

@@ -225,6 +225,7 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
     distances = np.linalg.norm(values - np.median(values, axis=0), axis=1)
     alone = isinstance(data, Matches) | (distances > _SCENE * np.median(distances))
     near = ~beyond_gaps(data.points)
+    alone |= ~near
     kept = near
     for _ in range(_START_ROUNDS):
         errors, slopes = _plane_errors(values, around, kept, np.random.default_rng(seed))
@@ -271,22 +272,22 @@ def _plane_errors(
     A plane goes through three neighbours, and has the least median of the errors of the neighbours on its side.
     """
     near, valid = around.kept(kept, _NEIGHBOURS)
-    n, k = near.shape
+    (n, k), some = near.shape, valid.any(axis=1)
     offsets = around.points[near] - around.points[:, None]
-    size = np.sqrt((offsets**2).sum(axis=2).mean(axis=1, where=valid | ~valid.any(axis=1)[:, None]))
+    size = np.sqrt((offsets**2).sum(axis=2).mean(axis=1, where=np.asarray(valid | ~some[:, None])))
     size = np.where(size > 0, size, 1.0)[:, None, None]
     offsets /= size
     rises = values[near] - values[:, None]
     angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    sides = [valid & (offsets @ (np.cos(a), np.sin(a)) >= -1e-9) for a in angles]
-    sides = [valid, *(side & (side.sum(axis=1) > _NEIGHBOURS // 4)[:, None] for side in sides)]
+    half_discs = [np.asarray(valid & (offsets @ (np.cos(a), np.sin(a)) >= -1e-9)) for a in angles]
+    sides = [valid, *(side & (side.sum(axis=1) > _NEIGHBOURS // 4)[:, None] for side in half_discs)]
     best = np.full((len(sides), n), np.inf)
     levels = np.full((len(sides), n, values.shape[1]), np.inf)
     slopes = np.zeros((n, 2, values.shape[1]))
     ordered = np.sort(np.where(valid[:, :, None], rises, np.inf), axis=1)
     levels[0] = ordered[np.arange(n), np.maximum(valid.sum(axis=1) - 1, 0) // 2]  # for neighbours on a line
     for triple in (random.choice(k, 3, replace=False) for _ in range(_TRIPLES)):
-        plane, spans = _planes(offsets[:, triple], rises[:, triple], valid[:, triple].all(axis=1))
+        plane, spans = _planes(offsets[:, triple], rises[:, triple], np.all(valid[:, triple], axis=1))
         misses = np.linalg.norm(rises - plane[:, 0, None] - offsets @ plane[:, 1:], axis=2)
         for s, side in enumerate(sides):
             middle = _median_of(misses, side)
