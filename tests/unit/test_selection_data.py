@@ -83,11 +83,10 @@ def refitted(design, weight, count):
 @pytest.mark.parametrize("kind", ["fractional warp", "linear warp", "surface"])
 def test_weights_of_the_data_enter_every_fit(kind, nested, smoothing):
     weights, centres = np.random.default_rng(1).uniform(0.1, 10, N), POINTS[[0, 40, 80, 120, 7, 19]]
-    known = Matches.of(POINTS, TARGET)
     if kind == "surface":
-        design = Samples(POINTS, TARGET[:, 0], weights, known.domain).design
+        design = Samples(POINTS, TARGET[:, 0], weights).design
     else:
-        matches = Matches(POINTS, TARGET, weights, known.domain, None)
+        matches = Matches(POINTS, TARGET, weights, None)
         design = partial(matches.design, fractional=kind == "fractional warp")
     scorer, counts = Scorer.of(["CMPRESS"], POINTS), np.array([4, 6])
     if nested:

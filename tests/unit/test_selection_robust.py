@@ -241,3 +241,67 @@ def test_quantiles_of_chi_squares(share):
     two = -2 * np.log(1 - share)
     one = NormalDist().inv_cdf((1 + share) / 2) ** 2
     np.testing.assert_allclose(chi_square_quantile(share, np.array([1, 2])), [one, two], rtol=0.04)
+
+
+# The one call
+
+
+@pytest.mark.parametrize("place", [(3000.0, 3000.0), (1e6, 1e6), (-1e6, 50.0)])
+def test_one_far_source_point_leaves_no_trace(place):
+    random = np.random.default_rng(3)
+    source = random.uniform(0, 1, (80, 2)) * [640, 480]
+    target = source + 8 * np.sin(source / 90) + random.normal(0, 0.3, source.shape)
+    clean = np.delete(np.arange(80), 17)
+    source[17] = place
+    selection = mx.select_warp(source, target, robust=True)
+    assert selection.left_out.tolist() == [17]
+    alone = mx.select_warp(source[clean], target[clean])
+    np.testing.assert_array_equal(selection.weights, alone.weights)
+    np.testing.assert_array_equal(selection.warp.parameters, alone.warp.parameters)
+    np.testing.assert_array_equal(selection.warp.domain, alone.warp.domain)
+    for name, scores in alone.maps.items():
+        np.testing.assert_array_equal(selection.maps[name], scores)
+    assert selection.least_squares().n_data == 79
+
+
+def test_a_far_point_beside_data_of_unit_size():
+    random = np.random.default_rng(3)
+    points = random.uniform(0, 1, (100, 2))
+    values = np.sin(3 * points[:, 0]) + random.normal(0, 0.01, 100)
+    points[5] = 1e6
+    assert mx.select_surface(points, values, robust=True).left_out.tolist() == [5]
+    with pytest.raises(ValueError, match=r"^Invalid points\. "):
+        mx.select_surface(points, values)
+
+
+@pytest.mark.parametrize("smoothing", ["auto", 0])
+def test_wrong_matches_are_left_out_and_absent_ones_stay_so(smoothing):
+    random = np.random.default_rng(4)
+    source = random.uniform(0, 1, (90, 2)) * [640, 480]
+    target = source / (1 + source[:, :1] / 4000) + random.normal(0, 0.3, source.shape)
+    weights = np.ones(90)
+    weights[[2, 50]] = 0
+    target[[7, 50, 81]] += [[90, -40], [5, 700], [-60, 60]]
+    selection = mx.select_warp(source, target, "CMPRESS", smoothing=smoothing, weights=weights, robust=True)
+    assert selection.left_out.tolist() == [7, 81]
+    kept = np.setdiff1d(np.arange(90), [2, 7, 50, 81])
+    alone = mx.select_warp(source[kept], target[kept], "CMPRESS", smoothing=smoothing, weights=weights[kept])
+    np.testing.assert_array_equal(selection.warp.parameters, alone.warp.parameters)
+    assert set(selection.suspects().indices) == {7, 81}
+
+
+def test_clean_data_lose_nothing():
+    random = np.random.default_rng(5)
+    source = random.uniform(0, 1, (120, 2)) * [640, 480]
+    target = source + 8 * np.sin(source / 90) + random.normal(0, 0.3, source.shape)
+    plain, robust = (mx.select_warp(source, target, robust=r) for r in (False, True))
+    assert robust.left_out.size == 0
+    np.testing.assert_array_equal(robust.warp.parameters, plain.warp.parameters)
+
+
+@pytest.mark.parametrize("wrong", [1, "yes", None, 0.5])
+def test_robust_is_yes_or_no(wrong):
+    points = np.random.default_rng(0).uniform(size=(20, 2))
+    for select in (mx.select_warp, lambda *data, **more: mx.select_surface(data[0], data[1][:, 0], **more)):
+        with pytest.raises(TypeError, match=r"^Invalid robust\. "):
+            select(points, points, robust=wrong)

@@ -30,8 +30,6 @@ class Matches:
         Matched points, x then y, in pixels of either image.
     weights : (n,) array or None
         Weights of the matches; 1 each if None. A weight of 0 stands for a match that is absent.
-    domain : Region
-        Region that the source points cover.
     image_size : (width, height) or None
         Size of the source image in pixels.
 
@@ -44,32 +42,24 @@ class Matches:
     source: Floats
     target: Floats
     weights: Floats | None
-    domain: Region
     image_size: tuple[float, float] | None
 
     @classmethod
     def of(
         cls, source: ArrayLike, target: ArrayLike, image_size: Any = None, weights: ArrayLike | None = None
     ) -> Matches:
-        """Check matches: n pairs of finite points; source points whose weight is not 0 are not on a line."""
+        """Check matches: n pairs of finite points."""
         # Copies: models keep their data, whatever becomes of the caller's arrays.
         source, target = check.points(source, "source").copy(), check.points(target, "target").copy()
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)}")
         size, shares = check.image_size(image_size), _weights(weights, len(source))
-        return cls(source, target, shares, Region(hull(_present(source, shares), "source")), size)
+        return cls(source, target, shares, size)
 
     def subset(self, some: Integers) -> Matches:
         """Return some of the matches, with the region that they cover."""
-        source = self.source[some]
-        return Matches(
-            source,
-            self.target[some],
-            _part(self.weights, some),
-            Region(hull(source, "source")),
-            self.image_size,
-        )
+        return Matches(self.source[some], self.target[some], _part(self.weights, some), self.image_size)
 
     def __repr__(self) -> str:
         return f"Matches({len(self.source)} matches, diagonal {self.diagonal:g})"
@@ -83,6 +73,11 @@ class Matches:
     def values(self) -> Floats:
         """Measurements at those positions."""
         return self.target
+
+    @cached_property
+    def domain(self) -> Region:
+        """Region that the source points cover, which are not on a line; those of weight 0 do not count."""
+        return Region(hull(_present(self.source, self.weights), "source"))
 
     @cached_property
     def diagonal(self) -> float:
@@ -112,8 +107,6 @@ class Samples:
         Depths, or points in space.
     weights : (n,) array or None
         Weights of the data; 1 each if None. A weight of 0 stands for a datum that is absent.
-    domain : Region
-        Region that the points cover.
 
     Examples
     --------
@@ -124,23 +117,26 @@ class Samples:
     points: Floats
     values: Floats
     weights: Floats | None
-    domain: Region
     image_size: ClassVar[None] = None
 
     @classmethod
     def of(cls, points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None) -> Samples:
-        """Check data: n finite points with a value each; points whose weight is not 0 are not on a line."""
+        """Check data: n finite points with a value each."""
         points = check.points(points, "points").copy()
         values, shares = check.columns(values, "values", len(points)).copy(), _weights(weights, len(points))
-        return cls(points, values, shares, Region(hull(_present(points, shares), "points")))
+        return cls(points, values, shares)
 
     def subset(self, some: Integers) -> Samples:
         """Return some of the data, with the region that they cover."""
-        points = self.points[some]
-        return Samples(points, self.values[some], _part(self.weights, some), Region(hull(points, "points")))
+        return Samples(self.points[some], self.values[some], _part(self.weights, some))
 
     def __repr__(self) -> str:
         return f"Samples({len(self.points)} data, diagonal {self.diagonal:g})"
+
+    @cached_property
+    def domain(self) -> Region:
+        """Region that the points cover, which are not on a line; those of weight 0 do not count."""
+        return Region(hull(_present(self.points, self.weights), "points"))
 
     @cached_property
     def diagonal(self) -> float:

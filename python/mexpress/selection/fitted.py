@@ -22,7 +22,7 @@ from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
-from mexpress.selection.data import Data, part, present
+from mexpress.selection.data import part, present
 from mexpress.selection.robust import THRESHOLD, find_wrong
 from mexpress.selection.selection import Selection
 from mexpress.suspicion import Suspects
@@ -60,6 +60,9 @@ class FittedSelection(Selection, Generic[ModelT]):
 
     data: Any
     left_out: Integers = field(kw_only=True, default_factory=lambda: np.zeros(0, dtype=np.int64))
+    searched: bool = field(kw_only=True, default=False)
+    """Whether wrong data were searched for."""
+
     again: Callable[[Integers], Any] = field(kw_only=True, default=None)  # type: ignore[assignment]
     """Returns the selection for some of the data, given their indices, with the same settings."""
 
@@ -256,6 +259,10 @@ SelectionT_co = TypeVar("SelectionT_co", bound=FittedSelection[Any], covariant=T
 class Question(Protocol[SelectionT_co]):
     """What a selection is asked, whichever of the data remain."""
 
+    @property
+    def threads(self) -> int | None:
+        """Largest number of threads."""
+
     def select(
         self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
     ) -> SelectionT_co:
@@ -263,22 +270,26 @@ class Question(Protocol[SelectionT_co]):
 
 
 def select_of(
-    data: Data,
+    data: Any,
     question: Question[SelectionT_co],
     criteria: Sequence[str] | Mapping[str, Scheme] | None,
+    robust: bool,
     label: str | None,
 ) -> SelectionT_co:
-    """Select for the data that are present, and tell of all data by their indices."""
+    """Select for the data that are present and, if `robust`, not wrong; and tell of all data by their indices."""
     n, kept = len(data.points), present(data)
     again = partial(_select_part, data, question, criteria if isinstance(criteria, Mapping) else [])
-    if len(kept) == n:
-        return replace(question.select(data, criteria, label), again=again)
-    selection = question.select(data.subset(kept), _restricted(criteria, kept, n), label)
+    wrong = np.zeros(0, dtype=np.int64)
+    if robust:
+        found = find_wrong(part(data, kept), lambda some: again(kept[some]), threads=question.threads)
+        wrong = kept[np.sort(found.indices)]
+        kept = np.setdiff1d(kept, wrong)
+    selection = question.select(part(data, kept), _restricted(criteria, kept, n), label)
     undefined = {
         name: {count: kept[lost] for count, lost in by_count.items()}
         for name, by_count in selection.undefined.items()
     }
-    return replace(selection, data=data, undefined=undefined, again=again)
+    return replace(selection, data=data, undefined=undefined, left_out=wrong, again=again, searched=robust)
 
 
 def _select_part(
@@ -295,7 +306,7 @@ def _restricted(
     criteria: Sequence[str] | Mapping[str, Scheme] | None, kept: Integers, n: int
 ) -> Sequence[str] | Mapping[str, Scheme] | None:
     """Schemes of one's own over all n data, without those that are absent."""
-    if not isinstance(criteria, Mapping):
+    if not isinstance(criteria, Mapping) or len(kept) == n:
         return criteria
     return {
         name: scheme.restricted(kept) if isinstance(scheme, Scheme) and scheme.n_data == n else scheme

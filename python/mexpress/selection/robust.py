@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
 from mexpress.leastsquares.model import LeastSquares
+from mexpress.models.expectation import FittedModel
 from mexpress.schemes import Places
-from mexpress.selection.data import Data, Matches
+from mexpress.selection.data import Data, Matches, Samples
 from mexpress.suspicion import (
     ROUNDING,
     UNSETTLED_SHARE,
@@ -59,6 +60,9 @@ _NEAR = 12
 _QUARTILE = 0.75
 """Errors are compared with the upper quartile of those of the 12 nearest data."""
 
+_EXPECTED = 3.0
+"""Data of a surface are wrong only beyond three times the error that the model expects at their place."""
+
 _ROUNDS = 5
 
 _FEW = 0.35
@@ -73,7 +77,7 @@ class Selected(Protocol):
         """The data of the selection."""
 
     @property
-    def _model(self) -> Callable[[Floats], Floats]:
+    def _model(self) -> FittedModel:
         """The selected model."""
 
     def least_squares(self, weights: None = None, threads: int | None = None) -> LeastSquares:
@@ -140,11 +144,15 @@ def find_wrong(
     for _ in range(_ROUNDS):
         seen.append(kept)
         some = np.flatnonzero(kept)
-        scores, sigma = _scores(data, some, select(some), around, steps, radius, threads)
+        selection = select(some)
+        scores, sigma = _scores(data, some, selection, around, steps, radius, threads)
         kept = ~(scores > threshold)
         if any((kept == before).all() for before in seen):
             break
     settled = bool((kept != seen[-1]).mean() <= UNSETTLED_SHARE)
+    if not isinstance(data, Matches):
+        scores = _against_expectation(data, scores, selection, threshold)
+        kept = ~(scores > threshold)
     found = Suspects(scores, threshold, sigma, _spread(data.values[kept]), len(seen), settled)
     if len(found.indices) and found.doubtful:
         warnings.warn(SuspicionWarning(found.doubt), stacklevel=2)
@@ -272,7 +280,8 @@ def _plane_errors(
     A plane goes through three neighbours, and has the least median of the errors of the neighbours on its side.
     """
     near, valid = around.kept(kept, _NEIGHBOURS)
-    (n, k), some = near.shape, valid.any(axis=1)
+    n, k = near.shape
+    some: Mask = np.asarray(valid.any(axis=1))
     offsets = around.points[near] - around.points[:, None]
     size = np.sqrt((offsets**2).sum(axis=2).mean(axis=1, where=np.asarray(valid | ~some[:, None])))
     size = np.where(size > 0, size, 1.0)[:, None, None]
@@ -344,6 +353,25 @@ def _scores(
     nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / _noise(_QUARTILE, per_row)
     scale = np.where(kept, np.maximum(nearby, sigma), sigma) if sigma else 1.0
     return np.minimum(errors, steps) / scale, sigma
+
+
+def _against_expectation(data: Samples, scores: Floats, selection: Selected, threshold: float) -> Floats:
+    """Scores of which those above the threshold are at least errors in units of a third of what is expected there.
+
+    Ground is rough in places, and at its borders the prediction is vague, so the noise alone makes too much of an
+    error. Points beyond a gap have no expectation.
+    """
+    doubted = np.flatnonzero((scores > threshold) & ~beyond_gaps(data.points))
+    if not len(doubted):
+        return scores
+    points, values = data.points[doubted], data.values[doubted]
+    away = np.linalg.norm((selection._model(points) - values).reshape(len(doubted), -1), axis=1)
+    lenient = scores.copy()
+    # At an expectation of zero, of a model without noise, nothing is more lenient.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.nan_to_num(away / selection._model.error(points), nan=np.inf)
+    lenient[doubted] = np.minimum(scores[doubted], threshold / _EXPECTED * relative)
+    return lenient
 
 
 def _spread(values: Floats) -> float:

@@ -92,6 +92,7 @@ def select_surface(
     placement: str | None = None,
     *,
     weights: ArrayLike | None = None,
+    robust: bool = False,
     queries: ArrayLike | str | None = None,
 ) -> SurfaceSelection:
     """Fit a surface to data, as complex as predicts held-out data best.
@@ -144,6 +145,9 @@ def select_surface(
     weights : (n,) array, optional
         Weight of every datum, in the fit and in the scores, such as one over the square of its standard deviation. A
         datum of weight 0 is absent. 1 each by default. "residual" placement does not know them.
+    robust : bool, default False
+        Whether to find wrong data and leave them out: those that the selection without them contradicts, see
+        `mexpress.selection.robust`. It costs two to six selections. Those left out are `left_out` of the result.
     queries : (q, 2) array, or (left, top, right, bottom), optional
         Where the surface will be used: positions, or all over a rectangle. If they are far from the data, models are
         judged by predictions as far from their training data as the queries are from the data, and piecewise affine
@@ -176,7 +180,8 @@ def select_surface(
     (60, True)
     """
     data = Samples.of(points, values, weights)
-    check.flag(progress, "progress")
+    for name, flag in (("robust", robust), ("progress", progress)):
+        check.flag(flag, name)
     functions = lifting_named(lifting)
     usual = surface_defaults(len(data.points), smoothing)
     choices = "residual", "nested", "lloyd"
@@ -191,7 +196,7 @@ def select_surface(
         seed,
         threads,
     )
-    return select_of(data, question, criteria, "surface" if progress else None)
+    return select_of(data, question, criteria, robust, "surface" if progress else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,6 +102,7 @@ def select_warp(
     progress: bool = False,
     *,
     weights: ArrayLike | None = None,
+    robust: bool = False,
     queries: ArrayLike | str | None = None,
 ) -> WarpSelection:
     """Fit a warp to point matches, as complex as predicts held-out matches best.
@@ -113,7 +114,7 @@ def select_warp(
     Parameters
     ----------
     source, target : (n, 2) array
-        Matches, x then y, in pixels of either image.
+        Matches, x then y, in pixels of either image; with `robust`, also wrong ones.
     criterion : str, optional
         Criterion that selects, see `mexpress.criteria`. MATCHED by default: it matches the distances from predictions
         to training data to those in use. Where neighbouring matches share their noise, take ER10. With `smoothing` 0
@@ -151,6 +152,9 @@ def select_warp(
     weights : (n,) array, optional
         Weight of every match, in the fit and in the scores, such as a match's confidence, or one over the square of
         its standard deviation. A match of weight 0 is absent. 1 each by default.
+    robust : bool, default False
+        Whether to find wrong matches and leave them out: those that the selection without them contradicts, see
+        `mexpress.selection.robust`. It costs two to six selections. Those left out are `left_out` of the result.
     queries : (q, 2) array, (left, top, right, bottom), or "image", optional
         Where the warp will be used: positions in pixels of the source image, all over a rectangle, or all over the
         image of `image_size`. If they are far from the matches, models are judged by predictions as far from their
@@ -186,7 +190,7 @@ def select_warp(
     """
     matches = Matches.of(source, target, image_size, weights)
     wished = checked_counts(counts, len(matches.source), "matches")
-    for name, flag in (("fractional", fractional), ("progress", progress)):
+    for name, flag in (("fractional", fractional), ("robust", robust), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
     several = several_weights(smoothing)
@@ -203,7 +207,7 @@ def select_warp(
         seed,
         threads,
     )
-    return select_of(matches, question, criteria, "warp" if progress else None)
+    return select_of(matches, question, criteria, robust, "warp" if progress else None)
 
 
 @dataclass(frozen=True, eq=False)
