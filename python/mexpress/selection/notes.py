@@ -231,7 +231,8 @@ def _failures(subject: Subject) -> Iterator[str]:
     ):
         if share > 0:
             advice = f" Try {', or '.join(remedies)}." if remedies else ""
-            yield f"The warp {what} over {100 * share:.2g} % of the region of the matches: do not trust it there.{advice}"
+            region = f"over {100 * share:.2g} % of the region of the matches"
+            yield f"The warp {what} {region}: do not trust it there.{advice}"
 
 
 def _wide_radius(subject: Subject) -> Iterator[str]:
