@@ -156,10 +156,10 @@ def test_values_that_have_no_place_in_space(run, tmp_path):
 def test_what_limits_the_number_is_told(sheet, run, tmp_path):
     command = ["surface", sheet, *PAPER, "--criterion", "FIT", "--no-plots", "--out", tmp_path]
     _, _, errors = run(*command, "--max-count", "9")
-    assert "9 is the largest number tried: more may be better, see --max-count" in errors
-    _, _, errors = run(*command, "--min-distance", "0.4")
-    assert "see --min-distance" in errors
-    assert "all that there is room for" in errors
+    assert "9 control points are selected, the largest number tried" in errors
+    assert "more may be better, see --max-count N and --min-distance D." in errors
+    _, _, errors = run(*command, "--placement", "nested", "--max-count", "9")
+    assert "more may be better, see --max-count N." in errors
 
 
 def test_where_scores_end_is_told(run, tmp_path):

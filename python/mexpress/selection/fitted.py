@@ -77,10 +77,13 @@ class FittedSelection(Selection, Generic[ModelT]):
         """The selected warp or surface."""
 
     @cached_property
+    def kept(self) -> Integers:
+        """Indices of the data of the fit, increasing: not those of weight 0, nor those that were left out."""
+        return np.setdiff1d(present(self.data), self.left_out)
+
+    @cached_property
     def _kept_data(self) -> Any:
-        """The data of the fit: not those of weight 0, nor those that were left out."""
-        kept = np.setdiff1d(present(self.data), self.left_out)
-        return part(self.data, kept)
+        return part(self.data, self.kept)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
