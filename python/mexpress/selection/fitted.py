@@ -101,8 +101,10 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> mx.select_warp(source, target).notes[0][-67:]
         'looks like wrong data. robust=True finds and leaves out wrong data.'
         """
-        subject = Subject(self, self._kept_data, self._model, self.placement, len(self.left_out) > 0)
-        return notes(subject)
+        searched = len(self.left_out) > 0
+        return notes(
+            Subject(self, self._kept_data, self._model, self.placement, searched, self.least_squares)
+        )
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:

@@ -18,6 +18,7 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.criteria import parse
 from mexpress.geometry import diagonal, lattice
+from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
 from mexpress.selection.data import Data, Matches
@@ -32,10 +33,13 @@ _APART, _WORSE = 2.0, 1.2
 _TOO_STIFF = 3.0
 """Residuals are far above the noise if their median is three times that of neighbours' differences."""
 
-_HEAVY, _ALONE, _ENERGY = 3.0, 2.0, 0.4
-"""Data look wrong if the RMS residual is three times the median, and 40 % of the sum of squares is of data whose
-residuals are 5 robust standard deviations and twice those of all neighbours: at the edges of a depth map, neighbours
-have large ones too."""
+_HEAVY, _ALONE, _ENERGY = 2.5, 2.0, 0.4
+"""Data look wrong if the RMS residual is 2.5 times the median (1.2 to 1.5 under Gaussian noise), and 40 % of the sum of
+squares is of data whose residuals are 5 robust standard deviations and twice those of all neighbours: at the edges of a
+depth map, neighbours have large ones too."""
+
+_FLEXIBLE = 0.1
+"""A model with fewer parameters than this share of the values does not follow single data."""
 
 _NEIGHBOURS = 5
 _FEWEST = 20
@@ -69,6 +73,8 @@ class Subject:
         Placement of its control points.
     searched : bool
         Whether wrong data have been searched for.
+    least_squares : callable
+        Returns the least-squares problem of the model.
     """
 
     scores: Selection
@@ -76,6 +82,7 @@ class Subject:
     model: Model
     placement: str
     searched: bool
+    least_squares: Callable[[], LeastSquares]
 
     @cached_property
     def residuals(self) -> Floats:
@@ -99,9 +106,22 @@ class Subject:
         return bool(known.sum() < _FEWEST or np.median(self.sizes[known]) <= _ROUNDING * spread)
 
     @cached_property
+    def studentised(self) -> Floats:
+        """Norms of the residuals over the share of noise that a fit leaves in them, e / sqrt(1 - h), (n,).
+
+        A flexible model follows wrong data, so that their residuals are small; but so is 1 - h there.
+        """
+        if not self.scores.effective_parameters > _FLEXIBLE * self.data.values.size:
+            return self.sizes
+        fit = self.least_squares()
+        squares = (fit.residuals**2).reshape(len(fit.residuals), -1).sum(axis=1)
+        squares /= np.maximum(1 - fit.leverage, np.finfo(float).eps)
+        return np.asarray(np.sqrt(np.bincount(datum_of_row(fit), squares, fit.n_data)))
+
+    @cached_property
     def lonely(self) -> Any:
         """Which data have a residual that is large, and much larger than those of their neighbours, (n,)."""
-        sizes, k = np.nan_to_num(self.sizes), _NEIGHBOURS
+        sizes, k = np.nan_to_num(self.studentised), _NEIGHBOURS
         around = sizes[Places(self.data.points).nearest(k).held_out.indices.reshape(-1, k)]
         second, largest = np.partition(around, -2, axis=1)[:, -2:].T
         large = sizes > 5 * 1.4826 * np.median(sizes)
@@ -110,7 +130,7 @@ class Subject:
     @cached_property
     def looks_wrong(self) -> bool:
         """Whether a few data that stand alone make the residuals large."""
-        sizes = self.sizes
+        sizes = self.studentised
         if self.exact or _rms(sizes) <= _HEAVY * np.nanmedian(sizes):
             return False
         return bool((sizes[self.lonely] ** 2).sum() > _ENERGY * np.nansum(sizes**2))
@@ -206,11 +226,11 @@ def _outside_image(subject: Subject) -> Iterator[str]:
 def _wrong_data(subject: Subject) -> Iterator[str]:
     if subject.searched or not subject.looks_wrong:
         return
-    number, sizes = int(subject.lonely.sum()), subject.sizes
+    number, sizes = int(subject.lonely.sum()), subject.studentised
     yield (
-        f"Half of the residuals are below {np.nanmedian(sizes):.3g}{subject.unit}, but their RMS is "
-        f"{_rms(sizes):.3g}, because of {number} {subject.datum if number == 1 else subject.many} far from the "
-        f"{subject.shape} and unlike {'its' if number == 1 else 'their'} neighbours (largest {np.nanmax(sizes):.3g}): "
+        f"Half of the studentised residuals are below {np.nanmedian(sizes):.3g}{subject.unit}, but their RMS is "
+        f"{_rms(sizes):.3g}, because of {number} {subject.datum if number == 1 else subject.many} unlike "
+        f"{'its' if number == 1 else 'their'} neighbours (largest {np.nanmax(sizes):.3g}): "
         "this looks like wrong data. robust=True finds and leaves out wrong data."
     )
 
