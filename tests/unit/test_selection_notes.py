@@ -168,12 +168,12 @@ def test_the_ends_of_weights():
     assert about(zero, "tried") is None  # nothing is looser than an interpolant
 
 
-def test_automatic_weights_that_end_at_the_largest_number():
+def test_the_end_of_counts_and_of_weights():
     points, values = depths(500, waves=10.0)
-    selection = mx.select_surface(points, values, "FIT", smoothing="auto", max_count=12)
+    selection = mx.select_surface(points, values, "FIT", smoothing=[0.01, 10.0], max_count=12)
     note = about(selection, "largest number and the smallest weight")
     assert note.startswith(f"12 control points and smoothing {selection.smoothing:.3g} are selected")
-    assert note.endswith("see max_count=N.")
+    assert note.endswith("see max_count=N and min_distance=D.")
     assert about(mx.select_surface(points, values), "tried") is None
 
 
