@@ -16,6 +16,7 @@ from mexpress._validation import Floats
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.io import matches
+from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
 from mexpress.selection.fitted import FittedSelection
@@ -210,6 +211,12 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
         warn(f"no plots. {error}")
         return []
     return list(plots)
+
+
+def aside(selection: FittedSelection[Any]) -> Aside:
+    """Return what of the data is not in the fit."""
+    others = np.setdiff1d(np.arange(len(selection.data.points)), selection.kept)
+    return Aside(selection.left_out, np.setdiff1d(others, selection.left_out))
 
 
 def sizes_summary(sizes: Floats) -> dict[str, float]:

@@ -181,11 +181,12 @@ def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[
 
 def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
     surface, data = selection.surface, (selection.points, selection.values)
+    aside, kept = common.aside(selection), (data[0][selection.kept], data[1][selection.kept])
     more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
-        "surface.png": lambda path: plotting.plot_surface(surface, *data, path, **more),
-        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more),
+        "surface.png": lambda path: plotting.plot_surface(surface, *kept, path, **more),
+        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more, aside=aside),
         "control_points.png": lambda path: plotting.plot_control_points(selection, path, **more),
     }
     if _dimension(cloud.values) not in {1, 3}:

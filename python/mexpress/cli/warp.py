@@ -126,13 +126,14 @@ def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
     warp, source, target = selection.warp, selection.source, selection.target
+    aside = common.aside(selection)
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path),
-        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path),
+        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path, aside=aside),
     }
     if images:
         plots["registered.png"] = lambda path: plotting.plot_registration(
-            warp, images[0], images[1], source, target, path=path
+            warp, images[0], images[1], source, target, path=path, aside=aside
         )
     return plots
 

@@ -136,6 +136,23 @@ class Selection:
         return {name: None if at is None else float(at[0].weights[at[2]]) for name, at in best.items()}
 
     @property
+    def selected_rival(self) -> dict[str, str | None]:
+        """Name of the rival that each criterion selects; None for a model of these counts and weights.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> plain = mx.Selection("FIT", np.array([3]), {"FIT": np.array([1.0])}, {})
+        >>> maps = {"FIT": np.array([2.0]), "AIC": np.array([9.0])}
+        >>> mx.Selection("FIT", np.array([3]), maps, {}, rivals={"plane": plain}, rival="plane").selected_rival
+        {'FIT': 'plane', 'AIC': None}
+        """
+        winners = {name: best[0] for name in self.maps if (best := self.choice(name)) is not None}
+        names = {id(rival): name for name, rival in self.rivals.items()}
+        return {name: names.get(id(winners.get(name))) for name in self.maps}
+
+    @property
     def count(self) -> int:
         """The selected number of control points."""
         return int(self.winner.counts[self.winner.place[0]])
