@@ -273,3 +273,36 @@ def test_a_surface_has_no_inverse(run, tmp_path, model):
     assert (status, text) == (2, "")
     assert "--inverse belongs to a warp" in errors
     assert errors.count("\n") == 1
+
+
+def test_queries_all_over_a_depth_map(depth_map, run, tmp_path):
+    out = tmp_path / "out"
+    options = ["--data", "150", "--quiet", "--no-plots", "--out", out]
+    status, _, errors = run("surface", depth_map, *options, "--queries", "image")
+    assert status == 0, errors
+    cloud = read_cloud(depth_map, max_data=150)
+    expected = mx.select_surface(cloud.points, cloud.values, queries=(0, 0, 40, 30))
+    said = json.loads((out / "selection.json").read_text())
+    assert said["curves"]["MATCHED"] == expected.curves["MATCHED"].tolist()
+
+
+def test_points_have_no_image_for_queries(sheet, run, tmp_path):
+    status, _, errors = run("surface", sheet, "--quiet", "--queries", "image", "--out", tmp_path)
+    assert status == 2
+    assert "--queries image belongs to depth maps" in errors
+    assert errors.count("\n") == 1
+
+
+def test_standard_deviations_of_depths(run, tmp_path):
+    sigma = np.random.default_rng(4).uniform(0.5, 2, 150)
+    sigma_of = np.column_stack([SHEET[:, :3], sigma])
+    np.savetxt(tmp_path / "c.csv", sigma_of, delimiter=",", header="x,y,z,sd", comments="", fmt="%.17g")
+    status, _, errors = run(
+        "surface", tmp_path / "c.csv", *PAPER, *FAST, "--sigma", "sd", "--no-plots", "--out", tmp_path
+    )
+    assert status == 0, errors
+    expected = mx.select_surface(
+        SHEET[:, :2], SHEET[:, 2], criteria=["CMPRESS"], max_count=12, smoothing=0, weights=sigma**-2
+    )
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["curves"]["CMPRESS"] == pytest.approx(expected.curves["CMPRESS"].tolist(), rel=1e-12)

@@ -174,10 +174,10 @@ def _draw_curves(axes: Axes, selection: SelectionLike, line: _Line) -> None:
         rival = selection.selected_rival[selection.criterion if chosen else names[0]]
         _draw(axes, (line.x, curve), best, (colour, "-" if chosen else style), chosen, rival is not None)
         choice = rival or ("none" if best is None else line.names[best])
-        if chosen and selection.rival is not None:
-            _draw_rival(axes, selection, colour)
         labels[f"{_label(names, rescaled, selection)}: {choice}"] = (_end(axes, curve), colour, chosen)
     _write_labels(axes, labels)
+    if selection.rival is not None:
+        _draw_rival(axes, selection, looks[selection.criterion][0])
     axes.grid(alpha=0.25, lw=0.6)
 
 
