@@ -315,3 +315,15 @@ def test_few_data_say_nothing_of_their_noise():
     source, target = matches(8)
     target[3] += 200
     assert about(mx.select_warp(source, target), "wrong data") is None
+
+
+def test_gaps_are_why_matched_disagrees():
+    """Data along lines are near each other, but far from places between the lines."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(0, 1, 300), rng.integers(0, 6, 300) / 5 + rng.normal(0, 1e-3, 300)])
+    values = np.sin(25 * points[:, 0]) * np.cos(25 * points[:, 1])
+    selection = mx.select_surface(points, values)
+    note = about(selection, "MATCHED selects")
+    assert f"MATCHED selects {selection.effective_parameters:.0f} effective parameters, CMPRESS" in note
+    assert "or MATCHED judges predictions in gaps that the data leave." in note
+    assert 'criterion="CMPRESS" follows the other' in note

@@ -46,8 +46,8 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "--counts",
         type=_counts,
         metavar="A:B[:STEP]",
-        help="numbers of control points, B included; or a list, 3,5,9 (default: 3 and as many as matches, at most 250 to 900; "
-        "without --smoothing auto, 3 to half as many, at most 100)",
+        help="numbers of control points, B included; or a list, 3,5,9 (default: 3 and as many as matches, at most "
+        "250 to 900; without --smoothing auto, 3 to half as many, at most 100)",
     )
     common.add_selection(parser, "nested or lloyd (default: nested, or lloyd with one weight)")
     add("--source-image", type=Path, metavar="FILE", help="for registered.png")

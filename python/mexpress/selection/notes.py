@@ -301,11 +301,17 @@ def _disagreement(subject: Subject) -> Iterator[str]:
             found = (
                 f"{criterion} selects {sizes[0]:.0f} {what}, {name} {sizes[1]:.0f}, and by {name} the error is "
                 f"{own:.3g} instead of {best:.3g}{subject.unit}. Either neighbouring {subject.many} share noise, which "
-                f"{flexible} takes for the {subject.shape}, or {stiff} holds out more than lets predict this "
-                f"{subject.shape}. {_ways_out(subject, stiff, flexible)}"
+                f"{flexible} takes for the {subject.shape}, or {_strict(subject, stiff)}. "
+                f"{_ways_out(subject, stiff, flexible)}"
             )
     if found:
         yield found
+
+
+def _strict(subject: Subject, stiff: str) -> str:
+    if _family(stiff) == "MATCHED":
+        return f"{stiff} judges predictions in gaps that the {subject.many} leave"
+    return f"{stiff} holds out more than lets predict this {subject.shape}"
 
 
 def _complexity(subject: Subject, entrant: Selection, k: int, w: int) -> float:
