@@ -65,6 +65,7 @@ def add_selection(parser: Parser, placements: str) -> None:
         help="where the model will be used: points in a file, a rectangle, or all over the image; far from the data, "
         "models are judged by predictions as far (default: between the data)",
     )
+    add("--robust", action="store_true", help="find wrong data and leave them out")
     weights = parser.add_mutually_exclusive_group()
     weights.add_argument(
         "--weights",
@@ -91,7 +92,7 @@ def add_run(parser: Parser) -> None:
 
 def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what `select_warp` and `select_surface` both take."""
-    names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads"
+    names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads", "robust"
     queries = arguments.queries
     if isinstance(queries, Path):
         queries = matches.read_points(queries)
