@@ -477,3 +477,133 @@ def test_what_no_command_asks_for_is_not_imported():
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
     assert done.stderr == "mexpress: error: a.npz: No such file or directory\n"
+
+
+SMALL = np.random.default_rng(0).uniform(0, 1, (20, 2)) * [640, 480]
+AFFINE = SMALL @ [[1.1, 0.1], [-0.1, 0.9]] + np.random.default_rng(1).normal(0, 1, SMALL.shape)
+CALM = ("--quiet", "--no-plots")
+
+
+def test_a_plain_map_is_said_and_written(run, tmp_path):
+    write_matches(tmp_path / "m.csv", SMALL, AFFINE)
+    expected = mx.select_warp(SMALL, AFFINE)
+    assert expected.rival == "affine map"
+    status, text, _ = run("warp", tmp_path / "m.csv", *CALM, "--out", tmp_path)
+    assert status == 0
+    grid = expected.maps["MATCHED"][expected.place]
+    assert f"MATCHED selects the affine map: MATCHED {expected.score:.4g}; it is {grid:.4g} with " in text
+    (row,) = (line for line in text.splitlines() if line.startswith("affine map"))
+    assert row.split()[-1].endswith("*")
+    assert text.count("*", text.index("MATCHED")) >= 1
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["rival"] == "affine map"
+    scores = {name: of[0, 0] for name, of in expected.rivals["affine map"].maps.items()}
+    assert said["rivals"] == {"affine map": scores}
+    assert (said["notes"], said["left_out"]) == ([], [])
+
+
+def test_a_plain_map_that_is_not_selected_has_a_line(run, matches, tmp_path):
+    status, text, _ = run("warp", matches, *CALM, "--out", tmp_path)
+    assert status == 0
+    (row,) = (line for line in text.splitlines() if line.lstrip().startswith("affine map"))
+    assert "*" not in row
+    assert json.loads((tmp_path / "selection.json").read_text())["rival"] is None
+
+
+@pytest.mark.parametrize("how", ["file", "rectangle", "image"])
+def test_queries(run, matches, tmp_path, how):
+    where = np.array([[2000.0, 0.0], [2100.0, 300.0]])
+    np.savetxt(tmp_path / "q.txt", where)
+    option, queries = {
+        "file": (tmp_path / "q.txt", where),
+        "rectangle": ("0,0,900.5,2000", (0, 0, 900.5, 2000)),
+        "image": ("image", "image"),
+    }[how]
+    status, _, errors = run("warp", matches, *CALM, *SIZE, "--queries", option, "--out", tmp_path)
+    assert status == 0, errors
+    expected = mx.select_warp(SOURCE, TARGET, image_size=(640, 480), queries=queries)
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["curves"]["MATCHED"] == expected.curves["MATCHED"].tolist()
+    assert said["rivals"].keys() == expected.rivals.keys()
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ("no.txt", "no.txt: No such file"),
+        ("9,9,3,3", "Invalid queries"),
+        ("1,2,3", "1,2,3: No such file"),
+        ("image", "Invalid queries"),
+    ],
+)
+def test_bad_queries_are_one_line(run, matches, tmp_path, option, says):
+    status, text, errors = run("warp", matches, *CALM, "--queries", option, "--out", tmp_path)
+    assert (status, text) == (2, "")
+    assert says in errors
+    assert errors.count("\n") == 1
+
+
+def weighted(path, name, column):
+    table = np.column_stack([SOURCE, TARGET, column])
+    np.savetxt(path, table, delimiter=",", header=f"x1,y1,x2,y2,{name}", comments="", fmt="%.17g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "power"),
+    [("weight", [], 1), ("confidence", ["--weights", "confidence"], 1), ("sd", ["--sigma", "sd"], -2)],
+)
+def test_weights_of_matches(run, tmp_path, name, options, power):
+    column = np.random.default_rng(3).uniform(0.5, 2, 80)
+    path = weighted(tmp_path / "w.csv", name, column)
+    status, _, errors = run("warp", path, *PAPER, *CALM, *options, "--counts", "3:9", "--out", tmp_path)
+    assert status == 0, errors
+    expected = mx.select_warp(SOURCE, TARGET, smoothing=0, counts=range(3, 10), weights=column**power)
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["curves"]["ER10"] == pytest.approx(expected.curves["ER10"].tolist(), rel=1e-12)
+
+
+def test_a_match_of_weight_zero_is_absent(run, tmp_path):
+    column = np.ones(80)
+    column[3] = 0
+    path = weighted(tmp_path / "w.csv", "weight", column)
+    status, _, errors = run("warp", path, *PAPER, "--quiet", "--counts", "3:9", "--out", tmp_path)
+    assert status == 0, errors
+    warp = mx.load(tmp_path / "warp.npz")
+    errors = np.delete(np.hypot(*(TARGET - warp(SOURCE)).T), 3)
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["warp"]["transfer_error"]["rms"] == pytest.approx(np.sqrt((errors**2).mean()))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--weights", "trust"], "'trust', which is not in w.csv"),
+        (["--sigma", "trust"], "'trust', which is not in w.csv"),
+        (["--sigma", "sd"], "--sigma sd must be above 0, not 0"),
+        (["--sigma", "sd", "--weights", "sd"], "not allowed with argument"),
+    ],
+)
+def test_bad_weights_are_one_line(run, tmp_path, options, says):
+    path = weighted(tmp_path / "w.csv", "sd", np.arange(80.0))
+    status, text, errors = run("warp", path, *CALM, *options, "--out", tmp_path)
+    assert (status, text) == (2, "")
+    assert says in errors
+    assert errors.count("\n") == 1
+
+
+def test_notes_are_printed_with_options_and_written_with_arguments(run, tmp_path):
+    target = TARGET.copy()
+    target[5] += 300
+    write_matches(tmp_path / "m.csv", SOURCE[:, ::-1], target)
+    status, _, errors = run("warp", tmp_path / "m.csv", *PAPER, *SIZE, *CALM, "--out", tmp_path)
+    assert status == 0
+    notes = mx.select_warp(SOURCE[:, ::-1], target, smoothing=0, image_size=(640, 480)).notes
+    assert json.loads((tmp_path / "selection.json").read_text())["notes"] == list(notes)
+    assert any("robust=True" in note for note in notes)
+    assert any("image_size=SIZE" in note for note in notes)
+    lines = errors.splitlines()
+    assert len(lines) == len(notes)
+    assert "--robust if matches may be wrong" in errors
+    assert "--image-size SIZE." in errors
+    assert "=" not in errors

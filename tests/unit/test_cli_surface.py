@@ -156,10 +156,10 @@ def test_values_that_have_no_place_in_space(run, tmp_path):
 def test_what_limits_the_number_is_told(sheet, run, tmp_path):
     command = ["surface", sheet, *PAPER, "--criterion", "FIT", "--no-plots", "--out", tmp_path]
     _, _, errors = run(*command, "--max-count", "9")
-    assert "9 is the largest number tried: more may be better, see --max-count" in errors
-    _, _, errors = run(*command, "--min-distance", "0.4")
-    assert "see --min-distance" in errors
-    assert "all that there is room for" in errors
+    assert "9 control points are selected, the largest number tried" in errors
+    assert "more may be better, see --max-count N and --min-distance D." in errors
+    _, _, errors = run(*command, "--placement", "nested", "--max-count", "9")
+    assert "more may be better, see --max-count N." in errors
 
 
 def test_where_scores_end_is_told(run, tmp_path):
@@ -273,3 +273,36 @@ def test_a_surface_has_no_inverse(run, tmp_path, model):
     assert (status, text) == (2, "")
     assert "--inverse belongs to a warp" in errors
     assert errors.count("\n") == 1
+
+
+def test_queries_all_over_a_depth_map(depth_map, run, tmp_path):
+    out = tmp_path / "out"
+    options = ["--data", "150", "--quiet", "--no-plots", "--out", out]
+    status, _, errors = run("surface", depth_map, *options, "--queries", "image")
+    assert status == 0, errors
+    cloud = read_cloud(depth_map, max_data=150)
+    expected = mx.select_surface(cloud.points, cloud.values, queries=(0, 0, 40, 30))
+    said = json.loads((out / "selection.json").read_text())
+    assert said["curves"]["MATCHED"] == expected.curves["MATCHED"].tolist()
+
+
+def test_points_have_no_image_for_queries(sheet, run, tmp_path):
+    status, _, errors = run("surface", sheet, "--quiet", "--queries", "image", "--out", tmp_path)
+    assert status == 2
+    assert "--queries image belongs to depth maps" in errors
+    assert errors.count("\n") == 1
+
+
+def test_standard_deviations_of_depths(run, tmp_path):
+    sigma = np.random.default_rng(4).uniform(0.5, 2, 150)
+    sigma_of = np.column_stack([SHEET[:, :3], sigma])
+    np.savetxt(tmp_path / "c.csv", sigma_of, delimiter=",", header="x,y,z,sd", comments="", fmt="%.17g")
+    status, _, errors = run(
+        "surface", tmp_path / "c.csv", *PAPER, *FAST, "--sigma", "sd", "--no-plots", "--out", tmp_path
+    )
+    assert status == 0, errors
+    expected = mx.select_surface(
+        SHEET[:, :2], SHEET[:, 2], criteria=["CMPRESS"], max_count=12, smoothing=0, weights=sigma**-2
+    )
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["curves"]["CMPRESS"] == pytest.approx(expected.curves["CMPRESS"].tolist(), rel=1e-12)

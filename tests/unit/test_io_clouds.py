@@ -683,3 +683,46 @@ def test_sheets():
         np.testing.assert_array_equal(cloud.points, arrays["uv"])
         np.testing.assert_array_equal(cloud.values, arrays["points3d"])
     refused(lambda: read_cloud(SHARED / "sheets" / "hulk.npz"), r"points3d \(10, 73, 3\)")
+
+
+def test_weights_of_points(tmp_path):
+    (tmp_path / "c.csv").write_text("x,y,z,weight,sd\n" + "".join(f"{i},{i * i},1,{i},9\n" for i in range(6)))
+    assert read_cloud(tmp_path / "c.csv").weights.tolist() == [0, 1, 2, 3, 4, 5]
+    assert read_cloud(tmp_path / "c.csv", weights="sd").weights.tolist() == [9] * 6
+    some = read_cloud(tmp_path / "c.csv", max_data=4)
+    assert some.weights.tolist() == some.points[:, 0].tolist()  # drawn with their data
+    (tmp_path / "c.csv").write_text(
+        "weight,u,v,x,y,z\n" + "".join(f"{w},{i},{i * i},1,2,3\n" for i, w in enumerate([1, "nan", 3, 4, 5]))
+    )
+    cloud = read_cloud(tmp_path / "c.csv")
+    assert (cloud.weights.tolist(), cloud.n_missing) == ([1, 3, 4, 5], 1)
+    assert cloud.values.shape == (4, 3)
+    (tmp_path / "c.csv").write_text("".join(f"{i} {i * i} 1\n" for i in range(6)))
+    assert read_cloud(tmp_path / "c.csv").weights is None
+    with pytest.raises(ValueError, match=r"^Invalid weights\. .*'sd', which is not in c.csv"):
+        read_cloud(tmp_path / "c.csv", weights="sd")
+
+
+def test_weights_of_depth_maps(tmp_path):
+    depth = np.arange(48.0).reshape(6, 8)
+    depth[0, 0] = np.nan
+    np.savez(tmp_path / "d.npz", depth=depth, weights=2 * depth)
+    cloud = read_cloud(tmp_path / "d.npz")
+    np.testing.assert_array_equal(cloud.weights, 2 * cloud.values)
+    for wrong in (np.ones((8, 6)), np.ones(7)):
+        np.savez(tmp_path / "d.npz", depth=depth, weights=wrong)
+        with pytest.raises(ValueError, match=r"^Invalid weights\. There must be a weight for every datum\."):
+            read_cloud(tmp_path / "d.npz")
+
+
+def test_weights_of_vertices(tmp_path):
+    ply = "ply\nformat ascii 1.0\nelement vertex 4\n"
+    ply += "".join(f"property float {name}\n" for name in ("x", "y", "z", "confidence")) + "end_header\n"
+    (tmp_path / "c.ply").write_text(ply + "0 0 1 1\n1 0 1 2\n0 1 1 3\n1 1 1 4\n")
+    assert read_cloud(tmp_path / "c.ply").weights is None
+    assert read_cloud(tmp_path / "c.ply", weights="confidence").weights.tolist() == [1, 2, 3, 4]
+
+
+def test_weights_of_a_cloud_are_checked():
+    with pytest.raises(ValueError, match=r"^Invalid weights\. They must be 4 numbers"):
+        Cloud([[0, 0], [1, 0], [0, 1], [1, 1]], np.ones(4), None, 4, weights=[1, 2])

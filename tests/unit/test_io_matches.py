@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mexpress.io.matches import read_matches, read_points, write_matches, write_points_csv
+from mexpress.io.matches import (
+    read_matches,
+    read_points,
+    read_weighted_matches,
+    write_matches,
+    write_points_csv,
+)
 
 SOURCE = np.array([[1.0, 2.0], [5.0, 6.5], [9.0, -1e-3]])
 TARGET = np.array([[3.0, 4.0], [7.0, 8.0], [0.1, 1e20]])
@@ -149,3 +155,45 @@ def test_points_without_an_image_are_written(tmp_path):
     file = io.StringIO()
     write_points_csv(file, np.array([[np.nan, np.inf]]))
     assert file.getvalue() == "x,y\nnan,inf\n"
+
+
+WEIGHTED = "x1,y1,x2,y2,weight,score\n1,2,3,4,0.5,9\n5,6,7,8,0,8\n"
+
+
+def test_weights_are_a_column_by_name(tmp_path):
+    path = tmp_path / "m.csv"
+    path.write_text(WEIGHTED)
+    assert read_weighted_matches(path)[2].tolist() == [0.5, 0]
+    assert read_weighted_matches(path, "Score")[2].tolist() == [9, 8]
+    np.testing.assert_array_equal(np.hstack(read_weighted_matches(path)[:2]), np.hstack(read_matches(path)))
+    path.write_text("x1,y1,x2,y2,confidence\n1,2,3,4,5\n")
+    assert read_weighted_matches(path)[2] is None  # other names must be given
+    path.write_text("1,2,3,4\n")
+    assert read_weighted_matches(path)[2] is None
+    path.write_text("1,2,3,4,5\n")  # without names, five columns are no matches
+    with pytest.raises(ValueError, match=r"^Invalid matches\. .* 4 columns"):
+        read_weighted_matches(path)
+
+
+@pytest.mark.parametrize("arrays", [{"source": SOURCE, "target": TARGET}, {"anything": TABLE}])
+def test_weights_are_an_array_by_name(tmp_path, arrays):
+    weights = np.array([1.0, 0.0, 2.0])
+    np.savez(tmp_path / "m.npz", **arrays, weights=weights)
+    source, target, found = read_weighted_matches(tmp_path / "m.npz")
+    np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
+    np.testing.assert_array_equal(found, weights)
+    np.savez(tmp_path / "m.npz", **arrays, sigma=weights)
+    np.testing.assert_array_equal(read_weighted_matches(tmp_path / "m.npz", "sigma")[2], weights)
+    np.savez(tmp_path / "m.npz", **arrays)
+    assert read_weighted_matches(tmp_path / "m.npz")[2] is None
+
+
+def test_weights_that_are_not_there(tmp_path):
+    (tmp_path / "m.csv").write_text(WEIGHTED)
+    np.savez(tmp_path / "m.npz", source=SOURCE, target=TARGET)
+    for name in ("m.csv", "m.npz"):
+        with pytest.raises(ValueError, match=rf"^Invalid weights\. .*'sigma', which is not in {name}"):
+            read_weighted_matches(tmp_path / name, "sigma")
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2,weight\n1,2,3,4,much\n")
+    with pytest.raises(ValueError, match=r"^Invalid matches\. .*'much' in line 2"):
+        read_weighted_matches(tmp_path / "m.csv")

@@ -12,6 +12,7 @@ from mexpress import plotting
 from mexpress.liftings import ThinPlateSpline
 from mexpress.models.warp import Warp
 from mexpress.plotting import curves, rasters
+from mexpress.plotting.figures import Aside
 
 WIDTH, HEIGHT = 160, 100
 RNG = np.random.default_rng(0)
@@ -316,3 +317,63 @@ def test_unknown_errors_are_drawn_without_colours(tmp_path):
     square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
     plotting.plot_error(mx.fit_surface(square, [0, 2, 2, 5], square), tmp_path / "error.png")
     assert (tmp_path / "error.png").exists()
+
+
+def plain():
+    """Matches of an affine map, which is selected before all splines."""
+    rng = np.random.default_rng(0)
+    source = rng.uniform(0, 1, (20, 2)) * [640, 480]
+    return source, source @ [[1.1, 0.1], [-0.1, 0.9]] + rng.normal(0, 1, source.shape)
+
+
+def test_a_plain_map_that_is_selected_is_a_line_across(tmp_path):
+    selection = mx.select_warp(*plain())
+    assert selection.rival == "affine map"
+    figure = selection.plot(tmp_path / "curves.png")
+    assert is_drawn(tmp_path / "curves.png")
+    axes = figure.axes[0]
+    assert axes.get_title(loc="left").startswith("MATCHED selects the affine map, not ")
+    assert "MATCHED: affine map" in curve_labels(figure)
+    across = [line for line in axes.lines if line.get_linestyle() == "--"]
+    assert [list(line.get_ydata()) for line in across] == [[selection.score] * 2]
+    low, high = axes.get_ylim()
+    assert low < selection.score < high
+    assert any(text.get_text() == f"affine map: MATCHED {selection.score:.4g}" for text in axes.texts)
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
+    assert selection.maps["MATCHED"][selection.place] in [line.get_ydata()[0] for line in hollow]
+
+
+def test_without_a_rival_nothing_is_hollow(selection):
+    figure = selection.plot()
+    assert not [line for line in figure.axes[0].lines if line.get_markerfacecolor() == "white"]
+    assert not [line for line in figure.axes[0].lines if line.get_linestyle() == "--" and len(line.get_xdata()) == 2
+                and line.get_ydata()[0] == selection.score]  # fmt: skip
+
+
+def test_data_that_are_not_in_the_fit_have_other_marks(selection, tmp_path):
+    aside = Aside(left_out=[3, 4], absent=[9])
+    target = TARGET.copy()
+    target[3] += 1000
+    figure = plotting.plot_warp(selection.warp, SOURCE, target, tmp_path / "w.png", aside=aside)
+    assert {"57 matches", "2 left out", "1 absent"} <= set(labels(figure))
+    kept = np.setdiff1d(np.arange(60), [3, 4, 9])
+    errors = np.hypot(*(target - selection.warp(SOURCE))[kept].T)
+    assert f"RMS {np.sqrt((errors**2).mean()):.3g} pixels" in figure.axes[1].get_xlabel()
+    marks = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    np.testing.assert_array_equal(marks["2 left out"], SOURCE[[3, 4]])
+    np.testing.assert_array_equal(marks["1 absent"], SOURCE[[9]])
+    figure = plotting.plot_registration(selection.warp, GRAY, GRAY, SOURCE, target, aside=aside)
+    assert {"2 left out", "1 absent"} <= set(labels(figure))
+    assert len(figure.axes[0].collections[0].get_offsets()) == 57
+    with pytest.raises(ValueError, match=r"^Invalid aside\. "):
+        plotting.plot_warp(selection.warp, SOURCE, target, aside=Aside(left_out=[60]))
+
+
+def test_residuals_of_what_is_kept():
+    values = SOURCE[:, 0] / 50
+    values[3] = 1e6
+    surface = mx.fit_surface(SOURCE, SOURCE[:, 0] / 50, SOURCE[:8])
+    figure = plotting.plot_residuals(surface, SOURCE, values, aside=Aside(left_out=[3]))
+    assert "1 left out" in labels(figure)
+    rms = float(figure.axes[0].get_title(loc="left").split("RMS ")[1].split(",")[0])
+    assert rms < 1e-6

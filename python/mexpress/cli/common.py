@@ -15,8 +15,12 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
+from mexpress.io import matches
+from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
+from mexpress.selection.fitted import FittedSelection
+from mexpress.selection.queries import IMAGE
 
 
 class Parser(argparse.ArgumentParser):
@@ -54,6 +58,24 @@ def add_selection(parser: Parser, placements: str) -> None:
     )
     add("--lifting", default="tps", help="functions that bend the plane: tps, bspline, affine (default: tps)")
     add("--placement", metavar="NAME", help=f"how control points are spread: {placements}")
+    add(
+        "--queries",
+        type=_queries,
+        metavar="FILE|X0,Y0,X1,Y1|image",
+        help="where the model will be used: points in a file, a rectangle, or all over the image; far from the data, "
+        "models are judged by predictions as far (default: between the data)",
+    )
+    add("--robust", action="store_true", help="find wrong data and leave them out")
+    weights = parser.add_mutually_exclusive_group()
+    weights.add_argument(
+        "--weights",
+        metavar="COLUMN",
+        help="name of the weights in a text's first line or an archive, such as confidence; 0 leaves out "
+        "(default: weight in a text, weights in an archive, if there)",
+    )
+    weights.add_argument(
+        "--sigma", metavar="COLUMN", help="name of the standard deviations there: the weights are 1 / sigma^2"
+    )
     add_run(parser)
 
 
@@ -70,8 +92,31 @@ def add_run(parser: Parser) -> None:
 
 def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what `select_warp` and `select_surface` both take."""
-    names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads"
-    return {**{name: getattr(arguments, name) for name in names}, "progress": not arguments.quiet}
+    names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads", "robust"
+    queries = arguments.queries
+    if isinstance(queries, Path):
+        queries = matches.read_points(queries)
+    given = {name: getattr(arguments, name) for name in names}
+    return {**given, "queries": queries, "progress": not arguments.quiet}
+
+
+def as_weights(arguments: argparse.Namespace, column: Floats | None) -> Floats | None:
+    """Return the weights that a file's column means: themselves, or standard deviations."""
+    if arguments.sigma is None or column is None:
+        return column
+    if column.min() <= 0:
+        raise UsageError(f"--sigma {arguments.sigma} must be above 0, not {column.min():g}")
+    return np.asarray(column**-2.0)
+
+
+def _queries(text: str) -> tuple[float, ...] | str | Path:
+    if text.strip().lower() == IMAGE:
+        return IMAGE
+    try:
+        left, top, right, bottom = map(float, text.split(","))
+    except ValueError:
+        return Path(text)
+    return left, top, right, bottom
 
 
 def _smoothing(text: str) -> float | list[float] | str:
@@ -90,54 +135,59 @@ def _names(text: str) -> list[str]:
     return [name for name in re.split(r"[,\s]+", text) if name]
 
 
-def print_selection(selection: Selection, remark: str = "") -> None:
-    """Print the table, a remark on it, and what is selected."""
+def print_selection(selection: FittedSelection[Any], remark: str = "") -> None:
+    """Print the table, a remark on it, what is selected, and what was left out."""
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     print(reports.table(selection, width=width))
     if remark:
         print(f"({remark})")
-    name, smoothing = selection.criterion, ""
+    name, grid = selection.criterion, _of_grid(selection)
+    if selection.rival is None:
+        print(f"\n{name} selects {grid}: {name} {selection.score:.4g}.")
+    else:
+        score = f"{selection.maps[name][selection.place]:.4g} with {grid}"
+        print(f"\n{name} selects the {selection.rival}: {name} {selection.score:.4g}; it is {score}.")
+    if len(selection.left_out):
+        left_out, n = len(selection.left_out), len(selection.data.points)
+        print(f"Left out as wrong: {left_out} of {n}; selection.json says which.")
+
+
+def _of_grid(selection: Selection) -> str:
+    """Say which count and weight the criterion selects."""
+    k, w = selection.place
+    text = f"{selection.counts[k]} control points"
     if len(selection.weights) > 1:
-        smoothing = f" and smoothing {selection.smoothing:.3g}"
+        text += f" and smoothing {selection.weights[w]:.3g}"
         if selection.parameters is not None:
-            smoothing += f", {selection.parameters[selection.place]:.1f} effective parameters"
-    print(f"\n{name} selects {selection.count} control points{smoothing}: {name} {selection.score:.4g}.")
+            text += f", {selection.parameters[k, w]:.1f} effective parameters"
+    return text
 
 
-def warn_selection(selection: Selection, lost: str, advice: str) -> None:
-    """Warn of what makes a selection doubtful.
+def warn_of_notes(selection: FittedSelection[Any]) -> None:
+    """Print what is doubtful about a selection."""
+    for note in selection.notes:
+        warn(as_options(note))
 
-    Parameters
-    ----------
-    selection : Selection
-        What was selected.
-    lost : str
-        What is lost where a criterion is undefined, such as "the warp for match".
-    advice : str
-        What to do when the largest number of control points tried is the selected one.
+
+def as_options(note: str) -> str:
+    """Write the arguments in a note as options.
+
+    Examples
+    --------
+    >>> as_options('Try smoothing="auto", fractional=False or robust=True; criteria=["ER01", "ER05"] tells more.')
+    'Try --smoothing auto, --no-fractional or --robust; --criteria ER01,ER05 tells more.'
     """
-    counts = selection.counts
-    weights, by_weight = selection.weights, len(selection.weights) > 1
-    if selection.open.get(selection.count):
-        unknowns = selection.open[selection.count]
-        warn(
-            f"the data leave {unknowns} unknowns open at {selection.count} control points: smoothing determines them."
-        )
-    if by_weight and selection.smoothing == weights[0] > 0 and selection.count > counts[0]:
-        warn("the smallest smoothing tried is selected: less may be better, see --smoothing.")
-    if selection.count == counts[-1] and len(counts) > 1 and not by_weight:
-        warn(f"{selection.count} is the largest number tried: more may be better, see {advice}.")
-    for name, by_count in selection.undefined.items():
-        first = min(by_count)
-        some = ", ".join(map(str, by_count[first][:5])) + (", ..." if len(by_count[first]) > 5 else "")
-        if len(counts) > len(by_count) == (counts >= first).sum():
-            where = f"from {first} control points on"
-        else:
-            where = f"at {len(by_count)} of {len(counts)} numbers of control points, first at {first}"
-        warn(f"{name} has no score {where}: what it leaves does not determine {lost} {some} (from 0).")
+
+    def option(match: re.Match[str]) -> str:
+        name, value = match[1].replace("_", "-"), re.sub(r'["\[\] ]', "", match[2])
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    return re.sub(r'\b(\w+)=("[^"]*"|\[[^]]*\]|\w+)', option, note)
 
 
-def write_selection(arguments: argparse.Namespace, selection: Selection, more: dict[str, Any]) -> list[str]:
+def write_selection(
+    arguments: argparse.Namespace, selection: FittedSelection[Any], more: dict[str, Any]
+) -> list[str]:
     """Write what every selection has; return the names of the files."""
     command = {name: _json(value) for name, value in vars(arguments).items() if name != "run"}
     reports.write_summary(
@@ -162,6 +212,12 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
         warn(f"no plots. {error}")
         return []
     return list(plots)
+
+
+def aside(selection: FittedSelection[Any]) -> Aside:
+    """Return what of the data is not in the fit."""
+    others = np.setdiff1d(np.arange(len(selection.data.points)), selection.kept)
+    return Aside(selection.left_out, np.setdiff1d(others, selection.left_out))
 
 
 def sizes_summary(sizes: Floats) -> dict[str, float]:

@@ -19,6 +19,7 @@ from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS
 from mexpress.io.matches import write_rows
 from mexpress.selection import Selection
+from mexpress.selection.fitted import FittedSelection
 
 _MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""
@@ -29,9 +30,9 @@ PathLike = str | os.PathLike[str]
 def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None = None) -> str:
     """Return the criteria by number of control points; * marks what a criterion selects, - what is undefined.
 
-    With several weights of smoothing each count has the one that is best for the selecting criterion, and * marks what
-    the others select of these lines. With four counts or fewer there is a line for every weight instead, at the
-    selected count, with its effective number of parameters.
+    A rival has a line of its own below. With several weights of smoothing each count has the one that is best for the
+    selecting criterion, and * marks what the others select of these lines. With four counts or fewer there is a line
+    for every weight instead, at the selected count, with its effective number of parameters.
 
     Parameters
     ----------
@@ -53,13 +54,17 @@ def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None =
     >>> import mexpress as mx
     >>> source = np.random.default_rng(0).uniform(0, 100, (40, 2))
     >>> target = source + [[0, 5]] * np.sin(source / 20)
-    >>> print(table(mx.select_warp(source, target, criteria=["FIT"], counts=range(3, 5))))
+    >>> print(table(mx.select_warp(source, target, criteria=["FIT"], counts=range(3, 5), smoothing=0)))
     points       FIT      ER10
          3   ...
          4   ...
     """
-    lines = _by_weight(selection) if _weights_tell_more(selection) else _by_count(selection)
-    rows = _shown_rows(len(lines.heads), [k for k in lines.chosen.values() if k is not None], most_rows)
+    lines = _with_rivals(
+        selection, _by_weight(selection) if _weights_tell_more(selection) else _by_count(selection)
+    )
+    always = range(len(lines.heads) - len(selection.rivals), len(lines.heads))
+    chosen = [k for k in lines.chosen.values() if k is not None]
+    rows = _shown_rows(len(lines.heads), [*chosen, *always], most_rows)
     write = _writers(lines.curves)
     cells = [[*lines.titles, *(f"{name} " for name in lines.curves)]]
     for row in rows:
@@ -128,6 +133,33 @@ def _by_weight(selection: Selection) -> _Lines:
     return _Lines(["smoothing", "parameters"], heads, curves, chosen, "weights")
 
 
+def rival_scores(rival: Selection) -> dict[str, float]:
+    """Return every criterion's score of the rival that the criterion finds best of its kind; none if it has no score.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> rival_scores(mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}))
+    {'FIT': 1.0}
+    """
+    best = rival.choice(rival.criterion)
+    return {} if best is None else {name: float(scores[best[1:]]) for name, scores in rival.maps.items()}
+
+
+def _with_rivals(selection: Selection, lines: _Lines) -> _Lines:
+    """Add a line for each rival, and mark what is best of all."""
+    heads, curves = list(lines.heads), dict(lines.curves)
+    for name, rival in selection.rivals.items():
+        scores = rival_scores(rival)
+        heads.append([name, *("" for _ in lines.titles[1:])])
+        curves = {key: np.append(curve, scores.get(key, np.nan)) for key, curve in curves.items()}
+    chosen = _smallest(curves)
+    chosen[selection.criterion] = lines.chosen[selection.criterion]
+    if selection.rival is not None:
+        chosen[selection.criterion] = len(lines.heads) + list(selection.rivals).index(selection.rival)
+    return _Lines(lines.titles, heads, curves, chosen, lines.what)
+
+
 def _aligned(cells: list[list[str]], width: int | None, leading: int) -> list[str]:
     """Return lines of columns; those beyond the width follow below, beside the leading columns again."""
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -193,13 +225,13 @@ def write_curves(path: PathLike, selection: Selection) -> None:
         write_rows(file, list(columns), zip(*columns.values(), strict=True))
 
 
-def summary(selection: Selection) -> dict[str, Any]:
+def summary(selection: FittedSelection[Any]) -> dict[str, Any]:
     """Return what was selected as plain numbers, lists and dicts, None for what is undefined.
 
     Parameters
     ----------
-    selection : Selection
-        Result of a sweep.
+    selection : WarpSelection or SurfaceSelection
+        What was selected.
 
     Returns
     -------
@@ -210,7 +242,9 @@ def summary(selection: Selection) -> dict[str, Any]:
         surfaces; AIC and BIC have no unit. `undefined`:
         by criterion and count, the data (from 0) whose prediction lacks the rank. `smoothing`: the selected weight of
         the bending energy, `selected_smoothing`: by criterion; `weights`: what was tried; `open`: by count, how many
-        unknowns only the bending energy determines. With several weights also `maps`: by criterion, its values by
+        unknowns only the bending energy determines. `rivals`: by name, their scores by criterion; `rival`: the one that
+        is selected, or None. `left_out`: the data (from 0) that were left out as wrong. `notes`: what is doubtful, with
+        Python's arguments. With several weights also `maps`: by criterion, its values by
         count and weight.
 
     Examples
@@ -236,6 +270,10 @@ def summary(selection: Selection) -> dict[str, Any]:
         "selected_smoothing": dict(selection.selected_smoothing),
         "counts": selection.counts.tolist(),
         "weights": selection.weights.tolist(),
+        "rival": selection.rival,
+        "rivals": {name: _plain(rival_scores(rival)) for name, rival in selection.rivals.items()},
+        "left_out": selection.left_out.tolist(),
+        "notes": list(selection.notes),
         "open": {str(count): unknowns for count, unknowns in selection.open.items()},
         "curves": {name: _plain(curve.tolist()) for name, curve in selection.curves.items()},
         "undefined": {

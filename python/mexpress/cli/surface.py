@@ -15,7 +15,7 @@ from mexpress.cli import common
 from mexpress.io.archives import ARCHIVES
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
-from mexpress.selection.defaults import surface_defaults
+from mexpress.selection.queries import IMAGE
 
 _DATA = 10_000
 """As many data as the paper's depth maps have."""
@@ -26,9 +26,10 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
     parser = commands.add_parser(
         "surface",
         help="select and fit a surface to a depth map or a point cloud",
-        description="Fit surfaces with more and more control points to a depth map or a point cloud, and "
-        "select one. The output directory gets selection.json, curves.csv, surface.npz, meshes surface.ply "
-        "and surface.obj, and curves.png, surface.png, residuals.png and control_points.png.",
+        description="Fit surfaces from stiff to flexible to a depth map or a point cloud, and select one: by default "
+        "of those that many weights of the bending energy give. The output directory gets selection.json, curves.csv, "
+        "surface.npz, meshes surface.ply and surface.obj, and curves.png, surface.png, residuals.png and "
+        "control_points.png.",
     )
     add = parser.add_argument
     add(
@@ -36,7 +37,7 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         metavar="INPUT",
         type=Path,
         help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz or text with columns x y z "
-        "or u v x y z",
+        "or u v x y z, and weight if there",
     )
     add("--scale", type=float, metavar="S", help="a depth map's units per metre (default: 1000 for images)")
     add(
@@ -59,16 +60,16 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "--max-count",
         type=int,
         metavar="N",
-        help="largest number of control points (default: 175; with --smoothing auto as many as data, at most 900)",
+        help="largest number of control points (default: as many as data, at most 900; 175 without --smoothing auto)",
     )
     add(
         "--min-distance",
         type=float,
         metavar="D",
-        help="of control points to each other (default: 2.5 %% of the diagonal)",
+        help="of control points to each other with residual placement (default: 2.5 %% of the diagonal)",
     )
     common.add_selection(
-        parser, "residual, nested or lloyd (default: residual, or nested with --smoothing auto)"
+        parser, "nested, residual or lloyd (default: nested, or residual without --smoothing auto)"
     )
     parser.set_defaults(run=_run)
 
@@ -84,19 +85,26 @@ def _intrinsics(text: str) -> tuple[float, ...]:
 
 def _run(arguments: argparse.Namespace) -> None:
     most = None if arguments.all else arguments.data
-    cloud = read_cloud(arguments.input, arguments.scale, arguments.intrinsics, most, arguments.seed)
+    column = arguments.weights or arguments.sigma
+    cloud = read_cloud(
+        arguments.input, arguments.scale, arguments.intrinsics, most, arguments.seed, weights=column
+    )
     unit = arguments.unit or _unit(arguments, cloud)
     arguments.out.mkdir(parents=True, exist_ok=True)
+    options = common.selection_options(arguments)
+    if options["queries"] == IMAGE:
+        options["queries"] = _image(cloud)
     selection = select_surface(
         cloud.points,
         cloud.values,
+        weights=common.as_weights(arguments, cloud.weights),
         max_count=arguments.max_count,
         min_distance=arguments.min_distance,
-        **common.selection_options(arguments),
+        **options,
     )
     fit = _fit(selection)
     _print(selection, cloud, unit, fit["residuals"])
-    _warn(arguments, selection)
+    common.warn_of_notes(selection)
     more = {
         "n_data": len(cloud.points),
         "n_valid": cloud.n_valid,
@@ -119,9 +127,17 @@ def _unit(arguments: argparse.Namespace, cloud: Cloud) -> str | None:
     return "m" if image or arguments.scale is not None else None
 
 
+def _image(cloud: Cloud) -> tuple[float, ...]:
+    """Return the rectangle of the depth map's pixels."""
+    if cloud.image_size is None:
+        raise common.UsageError("--queries image belongs to depth maps")
+    return 0.0, 0.0, *cloud.image_size
+
+
 def _fit(selection: SurfaceSelection) -> dict[str, Any]:
     """Return what there is to know about a surface besides its score."""
-    residuals = selection.values - selection.surface(selection.points)
+    kept = selection.kept
+    residuals = selection.values[kept] - selection.surface(selection.points[kept])
     sizes = np.linalg.norm(residuals.reshape(len(residuals), -1), axis=1)
     return {
         "file": "surface.npz",
@@ -150,17 +166,6 @@ def _print(selection: SurfaceSelection, cloud: Cloud, unit: str | None, residual
     print(f"Residuals of the surface, in {unit or 'the unit of the data'}: {sizes}.")
 
 
-def _warn(arguments: argparse.Namespace, selection: SurfaceSelection) -> None:
-    ended = selection.placement == "residual" and selection.counts[-1] < (
-        arguments.max_count or surface_defaults(len(selection.points), arguments.smoothing).largest
-    )
-    common.warn_selection(selection, "the surface for datum", "--min-distance" if ended else "--max-count")
-    if ended:
-        common.warn(
-            f"{selection.counts[-1]} control points are all that there is room for, see --min-distance."
-        )
-
-
 def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[str]:
     """Write what has a place in space; return the names of the files."""
     if _dimension(cloud.values) not in {1, 3}:
@@ -176,11 +181,12 @@ def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[
 
 def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
     surface, data = selection.surface, (selection.points, selection.values)
+    aside, kept = common.aside(selection), (data[0][selection.kept], data[1][selection.kept])
     more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
-        "surface.png": lambda path: plotting.plot_surface(surface, *data, path, **more),
-        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more),
+        "surface.png": lambda path: plotting.plot_surface(surface, *kept, path, **more),
+        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more, aside=aside),
         "control_points.png": lambda path: plotting.plot_control_points(selection, path, **more),
     }
     if _dimension(cloud.values) not in {1, 3}:

@@ -15,11 +15,8 @@ from mexpress import plotting
 from mexpress.cli import common
 from mexpress.io import matches
 from mexpress.io.images import read_image
-from mexpress.placement import lattice
 from mexpress.selection import WarpSelection, select_warp
-
-_SAMPLES = 4000
-"""Points at which a warp is searched for folds."""
+from mexpress.selection.notes import failures
 
 _IMAGE_SIZE_HELP = (
     "size of the source image in pixels, such as 1920x1080: ERxx is in percent of its diagonal "
@@ -32,28 +29,36 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
     parser = commands.add_parser(
         "warp",
         help="select and fit the warp between two images",
-        description="Fit warps with more and more control points to matched points of two images, and "
-        "select one. The output directory gets selection.json, curves.csv, warp.npz, curves.png, warp.png, and "
-        "with both images registered.png.",
+        description="Fit warps from stiff to flexible to matched points of two images, and select one: by default of "
+        "those that many weights of the bending energy give, and an affine map. The output directory gets "
+        "selection.json, curves.csv, warp.npz, curves.png, warp.png, and with both images registered.png.",
     )
     add = parser.add_argument
-    add("matches", metavar="MATCHES", type=Path, help="text with columns x1 y1 x2 y2, .npz or .npy")
+    add(
+        "matches",
+        metavar="MATCHES",
+        type=Path,
+        help="text with columns x1 y1 x2 y2, and weight if there, .npz or .npy",
+    )
     add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
     add(
         "--counts",
         type=_counts,
         metavar="A:B[:STEP]",
-        help="numbers of control points, B included; or a list, 3,5,9",
+        help="numbers of control points, B included; or a list, 3,5,9 (default: 3 and as many as matches, at most "
+        "250 to 900; without --smoothing auto, 3 to half as many, at most 100)",
     )
-    common.add_selection(parser, "lloyd or nested (default: lloyd, or nested with several weights)")
+    common.add_selection(parser, "nested or lloyd (default: nested, or lloyd with one weight)")
     add("--source-image", type=Path, metavar="FILE", help="for registered.png")
     add("--target-image", type=Path, metavar="FILE", help="for registered.png")
     parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    source, target = matches.read_matches(arguments.matches)
+    source, target, column = matches.read_weighted_matches(
+        arguments.matches, arguments.weights or arguments.sigma
+    )
     images = _images(arguments)
     size = arguments.image_size
     if size is None and images:
@@ -65,6 +70,7 @@ def _run(arguments: argparse.Namespace) -> None:
         fractional=arguments.fractional,
         counts=arguments.counts,
         image_size=size,
+        weights=common.as_weights(arguments, column),
         **common.selection_options(arguments),
     )
     health = _health(selection)
@@ -88,18 +94,17 @@ def _images(arguments: argparse.Namespace) -> list[NDArray[Any]]:
 
 def _health(selection: WarpSelection) -> dict[str, Any]:
     """Return what there is to know about a warp besides its score."""
-    warp = selection.warp
-    errors = np.hypot(*(selection.target - warp(selection.source)).T)
-    inside = lattice(warp.domain, _SAMPLES)
-    vanishes = warp.vanishes(inside)
+    warp, kept = selection.warp, selection.kept
+    errors = np.hypot(*(selection.target[kept] - warp(selection.source[kept])).T)
+    folded, vanishing = failures(warp)
     return {
         "file": "warp.npz",
         "lifting": warp.lifting.name,
         "fractional": warp.fractional,
         "control_points": warp.control_points.tolist(),
         "transfer_error": common.sizes_summary(errors),
-        "folded": float((warp.folds(inside) & ~vanishes).mean()),
-        "vanishing": float(vanishes.mean()),
+        "folded": folded,
+        "vanishing": vanishing,
     }
 
 
@@ -116,22 +121,19 @@ def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
     common.print_selection(selection, remark if "PRESS" in selection.curves else "")
     errors = common.sizes_text(health["transfer_error"])
     print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
-    common.warn_selection(selection, "the warp for match", "--counts")
-    for key, what in (("folded", "folds"), ("vanishing", "has a denominator that vanishes")):
-        if health[key] > 0:
-            share = f"{100 * health[key]:.2g} %"
-            common.warn(f"the warp {what} over {share} of the region of the matches: do not trust it there.")
+    common.warn_of_notes(selection)
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
     warp, source, target = selection.warp, selection.source, selection.target
+    aside = common.aside(selection)
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path),
-        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path),
+        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path, aside=aside),
     }
     if images:
         plots["registered.png"] = lambda path: plotting.plot_registration(
-            warp, images[0], images[1], source, target, path=path
+            warp, images[0], images[1], source, target, path=path, aside=aside
         )
     return plots
 

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.images import read_image
+from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.text import read_text
 
 _IMAGES = {".png", ".tif", ".tiff", ".pgm"}
@@ -51,6 +52,8 @@ class Cloud:
         Number of data in the file, of which these are all or a sample.
     n_missing : int
         Number of pixels or points in the file that had no measurement.
+    weights : (n,) array or None
+        Weights of the data, if there are some.
 
     Raises
     ------
@@ -68,6 +71,7 @@ class Cloud:
     image_size: tuple[float, float] | None
     n_valid: int
     n_missing: int = 0
+    weights: Floats | None = None
 
     def __post_init__(self) -> None:
         points = check.points(self.points, "points")
@@ -77,6 +81,7 @@ class Cloud:
             "image_size": check.image_size(self.image_size),
             "n_valid": check.count(self.n_valid, "n_valid", len(points)),
             "n_missing": check.count(self.n_missing, "n_missing", 0),
+            "weights": None if self.weights is None else _checked_weights(self.weights, len(points)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -87,12 +92,20 @@ class Cloud:
         return f"Cloud({len(self.points)} of {self.n_valid} data, {kind}{size})"
 
 
+def _checked_weights(weights: ArrayLike, n: int) -> Floats:
+    checked = check.finite(check.real(weights, "weights"), "weights")
+    if checked.shape != (n,):
+        check.refuse("weights", f"They must be {n} numbers, one for each datum.", f"shape {checked.shape}")
+    return checked
+
+
 class _Map(NamedTuple):
     """A depth map, of whole numbers or not, and what its numbers mean."""
 
     raw: NDArray[Any]
     scale: float
     intrinsics: tuple[float, float, float, float] | None = None
+    weights: Floats | None = None
 
     @property
     def total(self) -> int:
@@ -104,9 +117,8 @@ class _Map(NamedTuple):
 
     def valid(self) -> Integers:
         raw = self.raw.ravel()
-        if raw.dtype.kind != "f":
-            return np.flatnonzero(raw)
-        return np.flatnonzero(np.isfinite(raw) & ((raw != 0) | (self.intrinsics is None)))
+        known = np.isfinite(raw) & ((raw != 0) | (raw.dtype.kind == "f" and self.intrinsics is None))
+        return np.flatnonzero(known & _have_weight(self.weights))
 
     def data(self, chosen: Integers) -> tuple[Floats, Floats]:
         row, column = np.divmod(chosen, self.raw.shape[1])
@@ -125,13 +137,15 @@ class _Points(NamedTuple):
     points: Floats
     values: Floats
     image_size: None = None
+    weights: Floats | None = None
 
     @property
     def total(self) -> int:
         return len(self.points)
 
     def valid(self) -> Integers:
-        return np.flatnonzero(np.isfinite(np.column_stack([self.points, self.values])).all(axis=1))
+        known = np.isfinite(np.column_stack([self.points, self.values])).all(axis=1)
+        return np.flatnonzero(known & _have_weight(self.weights))
 
     def data(self, chosen: Integers) -> tuple[Floats, Floats]:
         return self.points[chosen], self.values[chosen]
@@ -143,6 +157,7 @@ def read_cloud(
     intrinsics: Sequence[float] | None = None,
     max_data: int | None = 10_000,
     seed: int | np.random.Generator | None = 0,
+    weights: str | None = None,
 ) -> Cloud:
     """Read a depth map or a point cloud.
 
@@ -176,6 +191,10 @@ def read_cloud(
         keeps all.
     seed : int, Generator or None
         Of the draw: the same number gives the same data, None fresh ones.
+    weights : str, optional
+        Name of the weights: a column that the first line of a text names, an array in an `.npz`, as large as the depth
+        map or (n,), or a property of a `.ply`'s vertices. By default they are called `weight`, and `weights` in an
+        `.npz`, and a file need not have any. Data whose weight is NaN or infinite are missing.
 
     Returns
     -------
@@ -209,7 +228,7 @@ def read_cloud(
     camera = check.intrinsics(intrinsics)
     most = None if max_data is None else check.count(max_data, "max_data", _FEWEST)
     random = check.generator(seed)
-    source = _calibrated(_read(path), scale, camera, path)
+    source = _calibrated(_read(path, weights), scale, camera, path)
     valid = source.valid()
     if len(valid) < _FEWEST:
         rule = f"It must have {_FEWEST} data or more that are not missing."
@@ -217,7 +236,8 @@ def read_cloud(
     chosen = valid
     if most is not None and most < len(valid):
         chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
-    return Cloud(*source.data(chosen), source.image_size, len(valid), source.total - len(valid))
+    shares = None if source.weights is None else source.weights[chosen]
+    return Cloud(*source.data(chosen), source.image_size, len(valid), source.total - len(valid), shares)
 
 
 def _calibrated(
@@ -227,22 +247,47 @@ def _calibrated(
     path: Path,
 ) -> _Map | _Points:
     if isinstance(source, _Map):
-        return _Map(source.raw, scale or source.scale, intrinsics)
+        return source._replace(scale=scale or source.scale, intrinsics=intrinsics)
     for name, value in (("scale", scale), ("intrinsics", intrinsics)):
         if value is not None:
             check.refuse(name, "It belongs to a depth map.", f"{value} for the points in {path.name}")
     return source
 
 
-def _read(path: Path) -> _Map | _Points:
+def _read(path: Path, column: str | None) -> _Map | _Points:
+    source, weights = _with_weights(path, column)
+    named_weights(weights, column, path)
+    if weights is None:
+        return source
+    rule = "There must be a weight for every datum."
+    shares = check.real(weights, "weights")
+    if shares.size != source.total or (shares.ndim > 1 and source.image_size != shares.shape[::-1]):
+        check.refuse("weights", rule, f"shape {shares.shape} in {path.name}")
+    return source._replace(weights=shares.ravel())
+
+
+def _with_weights(path: Path, column: str | None) -> tuple[_Map | _Points, Any]:
+    """Read data, and their weights, or None if the file does not have the column."""
     ending = path.suffix.lower()
     if ending in _IMAGES:
-        return _depth_map(read_image(path, "cloud"), path, _UNITS_PER_METRE)
+        return _depth_map(read_image(path, "cloud"), path, _UNITS_PER_METRE), None
     if ending in ARCHIVES:
-        return _from_archive(path)
+        arrays = read_arrays(path, "cloud")
+        weights = arrays.pop(column or WEIGHT_ARRAY, None)
+        return _from_archive(arrays, path), weights
+    name = (column or WEIGHT_COLUMN).lower()
     if ending == ".ply":
-        return _from_columns(_read_ply(path), path)
-    return _from_columns(read_text(path, "cloud", _LAYOUTS, missing=True), path)
+        table, weights = _read_ply(path, column or WEIGHT_COLUMN)
+        return _from_columns(table, path), weights
+    named = [(*columns, name) for columns in _LAYOUTS]
+    table = read_text(path, "cloud", _LAYOUTS, missing=True, named=named)
+    if table.shape[1] % 2 == 0:  # one column more than a layout
+        return _from_columns(table[:, :-1], path), table[:, -1]
+    return _from_columns(table, path), None
+
+
+def _have_weight(weights: Floats | None) -> NDArray[np.bool_] | bool:
+    return True if weights is None else np.isfinite(weights)
 
 
 def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
@@ -253,8 +298,7 @@ def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
     return _Map(raw, 1.0 if raw.dtype.kind == "f" else units)
 
 
-def _from_archive(path: Path) -> _Map | _Points:
-    arrays = read_arrays(path, "cloud")
+def _from_archive(arrays: dict[str, NDArray[Any]], path: Path) -> _Map | _Points:
     for points, values in _PAIRS:
         if {points, values} <= arrays.keys():
             return _pair(arrays[points], arrays[values], points, values)
@@ -290,13 +334,14 @@ def _from_columns(array: NDArray[Any], path: Path) -> _Points:
     return _Points(table[:, :2], table[:, 2] if table.shape[1] == 3 else table[:, 2:])
 
 
-def _read_ply(path: Path) -> Floats:
+def _read_ply(path: Path, weight: str) -> tuple[Floats, Any]:
     ply = _parse_ply(path)
     names = ply["vertex"].data.dtype.names if "vertex" in ply else ()
     if not set("xyz") <= set(names):
         there = ", ".join(names) or "no vertices"
         check.refuse("cloud", "A PLY file must have vertices with x, y and z.", f"{there} in {path.name}")
-    return np.column_stack([check.real(ply["vertex"][name], name) for name in "xyz"])
+    table = np.column_stack([check.real(ply["vertex"][name], name) for name in "xyz"])
+    return table, ply["vertex"][weight] if weight in names else None
 
 
 def _parse_ply(path: Path) -> Any:

@@ -24,6 +24,9 @@ from mexpress.io.text import read_text
 MATCH_COLUMNS = ("x1", "y1", "x2", "y2")
 POINT_COLUMNS = ("x", "y")
 
+WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
+"""What weights are called in a text and in an archive, unless a name is given."""
+
 Path_ = str | os.PathLike[str]
 
 
@@ -62,9 +65,73 @@ def read_matches(path: Path_) -> tuple[Floats, Floats]:
     """
     path = Path(path)
     if path.suffix.lower() not in ARCHIVES:
-        table = read_text(path, "matches", [MATCH_COLUMNS])
-        return table[:, :2].copy(), table[:, 2:].copy()
+        return _halves(read_text(path, "matches", [MATCH_COLUMNS]))
+    return _from_archive(read_arrays(path, "matches"), path)
+
+
+def read_weighted_matches(path: Path_, column: str | None = None) -> tuple[Floats, Floats, Floats | None]:
+    """Read matched points of two images, and their weights if the file has some.
+
+    Parameters
+    ----------
+    path : str or path
+        As for `read_matches`.
+    column : str, optional
+        Name of the weights: of a column that the first line of a text names, or of an (n,) array in an `.npz`. By
+        default they are called `weight` in a text and `weights` in an `.npz`, and a file need not have any.
+
+    Returns
+    -------
+    source, target : ndarray, (n, 2)
+        Matched points.
+    weights : ndarray, (n,), or None
+        Their weights.
+
+    Raises
+    ------
+    ValueError, OSError
+        As in `read_matches`, or if the file has no column of a given name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with open(f"{folder}/matches.csv", "w") as file:
+    ...         print("x1,y1,x2,y2,score", file=file)
+    ...         print("1,2,3,4,0.9", file=file)
+    ...     read_weighted_matches(f"{folder}/matches.csv", "score")
+    (array([[1., 2.]]), array([[3., 4.]]), array([0.9]))
+    """
+    path = Path(path)
+    if path.suffix.lower() not in ARCHIVES:
+        named = (*MATCH_COLUMNS, (column or WEIGHT_COLUMN).lower())
+        table = read_text(path, "matches", [MATCH_COLUMNS], named=[named])
+        weights = table[:, 4].copy() if table.shape[1] > len(MATCH_COLUMNS) else None
+        return *_halves(table), named_weights(weights, column, path)
     arrays = read_arrays(path, "matches")
+    weights = named_weights(arrays.pop(column or WEIGHT_ARRAY, None), column, path)
+    source, target = _from_archive(arrays, path)
+    return source, target, None if weights is None else check.real(weights, "weights")
+
+
+def named_weights(weights: Any, column: str | None, path: Path) -> Any:
+    """Return weights that were found, or None; refuse the name of a column that was not.
+
+    Examples
+    --------
+    >>> named_weights(None, None, Path("matches.csv"))
+    """
+    if weights is None and column is not None:
+        rule = "The first line of a text, or an archive, must have this name."
+        check.refuse("weights", rule, f"{column!r}, which is not in {path.name}")
+    return weights
+
+
+def _halves(table: Floats) -> tuple[Floats, Floats]:
+    return table[:, :2].copy(), table[:, 2:4].copy()
+
+
+def _from_archive(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Floats, Floats]:
     if {"source", "target"} <= arrays.keys():
         source, target = (check.points(arrays[name], name) for name in ("source", "target"))
         if len(source) != len(target):
@@ -72,10 +139,8 @@ def read_matches(path: Path_) -> tuple[Floats, Floats]:
             check.refuse("target", rule, f"{len(target)} for {len(source)} in {path.name}")
         return source, target
     what = "arrays source and target, (n, 2), or one (n, 4) array (among several: matches)"
-    table = check.points(
-        _the_array(arrays, ("matches", "tentative"), 4, f"{path.name} must hold {what}."), "matches", 4
-    )
-    return table[:, :2].copy(), table[:, 2:].copy()
+    rule = f"{path.name} must hold {what}."
+    return _halves(check.points(_the_array(arrays, ("matches", "tentative"), 4, rule), "matches", 4))
 
 
 def read_points(path: Path_) -> Floats:

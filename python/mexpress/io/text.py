@@ -40,7 +40,14 @@ class _Layout(NamedTuple):
         return f"A line must have {' or '.join(choices)}."
 
 
-def read_text(path: Path, name: str, layouts: Sequence[Sequence[str]], *, missing: bool = False) -> Floats:
+def read_text(
+    path: Path,
+    name: str,
+    layouts: Sequence[Sequence[str]],
+    *,
+    missing: bool = False,
+    named: Sequence[Sequence[str]] = (),
+) -> Floats:
     """Read lines of numbers, separated by commas, semicolons, tabs or blanks.
 
     Parameters
@@ -55,6 +62,8 @@ def read_text(path: Path, name: str, layouts: Sequence[Sequence[str]], *, missin
         decides.
     missing : bool
         Whether cells may be NaN or infinite.
+    named : sequence of sequences of str
+        Layouts that come before the others, but only if the first line names all of their columns.
 
     Returns
     -------
@@ -83,7 +92,7 @@ def read_text(path: Path, name: str, layouts: Sequence[Sequence[str]], *, missin
         check.refuse(name, "The file must have at least one line of numbers.", f"{path.name}, which has none")
     first = lines[0][1]
     separator = next((s for s in (";", "\t", ",") if s in first), None)
-    layout = _layout(_split(first, separator), layouts)
+    layout = _layout(_split(first, separator), layouts, named)
     lines = lines[layout.header :]
     if not lines:
         check.refuse(name, "The file must have numbers below its header.", f"{path.name}, which has none")
@@ -109,10 +118,12 @@ def _split(line: str, separator: str | None) -> list[str]:
     return [cell.strip().strip("\"'") for cell in line.split(separator)]
 
 
-def _layout(first: Sequence[str], layouts: Sequence[Sequence[str]]) -> _Layout:
+def _layout(
+    first: Sequence[str], layouts: Sequence[Sequence[str]], named: Sequence[Sequence[str]]
+) -> _Layout:
     header = not any(_NUMBER.fullmatch(cell) for cell in first)
     names = [cell.lower() for cell in first]
-    for columns in layouts if header else []:
+    for columns in [*named, *layouts] if header else []:
         if set(columns) <= set(names):
             return _Layout(header, len(names), [names.index(column) for column in columns], [columns])
     fitting = [columns for columns in layouts if len(columns) == len(first)] or layouts

@@ -108,13 +108,16 @@ def plot_selection(
     label = with_unit("criterion", unit or default)
     _draw_curves(axes, selection, line)
     axes.set_ylabel(label)
-    smoothing = f" and smoothing {selection.smoothing:.3g}" if several else ""
-    title = f"{selection.criterion} selects {selection.count} control points{smoothing}"
-    axes.set_title(title, loc="left")
+    k, w = selection.place
+    best = f"{selection.counts[k]} control points"
+    best += f" and smoothing {selection.weights[w]:.3g}" if several else ""
+    if selection.rival is not None:
+        best = f"the {selection.rival}, not {best}"
+    axes.set_title(f"{selection.criterion} selects {best}", loc="left")
     if line.weights:
         draw_weights(axes.xaxis, selection.weights)
         _write_parameters(axes, selection)
-        axes.set_xlabel(f"weight of the bending energy, at {selection.count} control points")
+        axes.set_xlabel(f"weight of the bending energy, at {selection.counts[k]} control points")
     if mapped:
         _draw_map(below[0], selection, unit or default)
     elif not line.weights:
@@ -136,8 +139,12 @@ class _Line:
 def _over_counts(selection: SelectionLike) -> _Line:
     counts = selection.counts.tolist()
     best = {
-        name: None if count is None else counts.index(count) for name, count in selection.selected.items()
+        name: _smallest(selection.curves[name])
+        if count is None or selection.selected_rival[name] is not None
+        else counts.index(count)
+        for name, count in selection.selected.items()
     }
+    best[selection.criterion] = selection.place[0]
     return _Line(selection.counts.astype(float), selection.curves, best, [str(c) for c in counts], False)
 
 
@@ -145,25 +152,32 @@ def _over_weights(selection: SelectionLike) -> _Line:
     """At the selected count; each criterion's mark is what it would select there."""
     k = selection.place[0]
     curves = {name: scores[k] for name, scores in selection.maps.items()}
-    best = {name: None if np.isnan(c).all() else int(np.nanargmin(c)) for name, c in curves.items()}
+    best = {name: _smallest(curve) for name, curve in curves.items()}
     best[selection.criterion] = selection.place[1]
     names = [f"{float(f'{weight:.2g}'):g}" for weight in selection.weights]
     return _Line(weight_positions(selection.weights), curves, best, names, True)
 
 
+def _smallest(curve: Floats) -> int | None:
+    return None if np.isnan(curve).all() else int(np.nanargmin(curve))
+
+
 def _draw_curves(axes: Axes, selection: SelectionLike, line: _Line) -> None:
     curves, rescaled = _on_one_axis(line.curves, selection.criterion)
     looks = _looks(list(curves))
-    _set_limits(axes, curves, line.x, selection.criterion)
+    _set_limits(axes, curves, line.x, selection)
     labels: dict[str, tuple[float, str, bool]] = {}
     for names in _alike(curves, selection.criterion):
         colour, style = looks[names[0]]
         chosen = selection.criterion in names
         best, curve = line.best[selection.criterion if chosen else names[0]], curves[names[0]]
-        _draw(axes, (line.x, curve), best, (colour, "-" if chosen else style), chosen)
-        choice = "none" if best is None else line.names[best]
+        rival = selection.selected_rival[selection.criterion if chosen else names[0]]
+        _draw(axes, (line.x, curve), best, (colour, "-" if chosen else style), chosen, rival is not None)
+        choice = rival or ("none" if best is None else line.names[best])
         labels[f"{_label(names, rescaled, selection)}: {choice}"] = (_end(axes, curve), colour, chosen)
     _write_labels(axes, labels)
+    if selection.rival is not None:
+        _draw_rival(axes, selection, looks[selection.criterion][0])
     axes.grid(alpha=0.25, lw=0.6)
 
 
@@ -233,7 +247,7 @@ def _choices(selection: SelectionLike) -> dict[str, tuple[int, int]]:
     counts, weights = selection.counts.tolist(), selection.weights.tolist()
     at: dict[tuple[int, int], list[str]] = {}
     for name, count in selection.selected.items():
-        if count is not None and name != selection.criterion:
+        if count is not None and name != selection.criterion and selection.selected_rival[name] is None:
             weight = selection.selected_smoothing[name]
             at.setdefault((counts.index(count), weights.index(weight)), []).append(name)
     others = {", ".join(names): place for place, names in at.items() if place != selection.place}
@@ -314,17 +328,32 @@ def _tone(tones: Sequence[str], k: int, number: int) -> str:
     return "#" + "".join(f"{round(value):02X}" for value in mixed)
 
 
-def _set_limits(axes: Axes, curves: Mapping[str, Floats], x: Floats, criterion: str) -> None:
+def _draw_rival(axes: Axes, selection: SelectionLike, colour: str) -> None:
+    """Draw the score of a selected rival, which has no count and no weight, as a line across."""
+    axes.axhline(selection.score, color=colour, ls="--", lw=1.8, zorder=5)
+    text = axes.annotate(
+        f"{selection.rival}: {selection.criterion} {selection.score:.4g}",
+        (0.01, selection.score),
+        (0, 4),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+    )
+    text.set(color=colour, weight="bold", fontsize=9.5, zorder=7)
+    text.set_bbox({"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1})
+
+
+def _set_limits(axes: Axes, curves: Mapping[str, Floats], x: Floats, selection: SelectionLike) -> None:
     """Logarithms when the values span much; values far above the selected one leave the frame."""
     first, last = float(x[0]), float(x[-1])
     margin = 0.02 * (last - first) or 0.5
     axes.set_xlim(first - margin, last + margin)
     defined = [curve[np.isfinite(curve)] for curve in curves.values()]
+    defined += [] if selection.rival is None else [np.array([selection.score])]
     values = np.concatenate(defined)
     if not values.size:
         return
     low, high = float(values.min()), float(values.max())
-    chosen = curves[criterion]
+    chosen = curves[selection.criterion]
     least = float(chosen[np.isfinite(chosen)].min(initial=np.inf))
     top = max(1.5 * max(float(c[0]) for c in defined if c.size), 10 * least if np.isfinite(least) else low)
     if low <= 0 or high < 5 * low:
@@ -338,16 +367,22 @@ def _set_limits(axes: Axes, curves: Mapping[str, Floats], x: Floats, criterion: 
 
 
 def _draw(
-    axes: Axes, line: tuple[Floats, Floats], best: int | None, look: tuple[str, str], chosen: bool
+    axes: Axes,
+    line: tuple[Floats, Floats],
+    best: int | None,
+    look: tuple[str, str],
+    chosen: bool,
+    beaten: bool,
 ) -> None:
-    """Draw a curve, mark what it selects, and make the chosen criterion's stand out."""
+    """Draw a curve, mark its best, hollow if a rival is better, and make the chosen criterion's stand out."""
     x, curve = line
     colour, style = look
     axes.plot(x, curve, style, color=colour, lw=2.8 if chosen else 1.4, zorder=4 if chosen else 3)
     if best is None:
         return
-    axes.plot(x[best], curve[best], "o", color=colour, ms=10 if chosen else 6, mec="white", zorder=6)
-    if chosen:
+    face, edge = ("white", colour) if beaten else (colour, "white")
+    axes.plot(x[best], curve[best], "o", color=colour, ms=10 if chosen else 6, mfc=face, mec=edge, zorder=6)
+    if chosen and not beaten:
         axes.axvline(x[best], color=colour, lw=1, alpha=0.4, zorder=1)
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mexpress._validation import Floats
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,6 +47,30 @@ def frame(axes: Axes, points: Floats, y_down: bool = True) -> None:
     y = (high[1] + margin, low[1] - margin) if y_down else (low[1] - margin, high[1] + margin)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=y)
     axes.set_aspect("equal")
+
+
+@dataclass(frozen=True)
+class Aside:
+    """Data that are not in a fit: left out as wrong, or absent because their weight is 0; indices of each."""
+
+    left_out: ArrayLike = ()
+    absent: ArrayLike = ()
+
+    def kept(self, n: int) -> Integers:
+        """Return the indices of the others."""
+        aside = [check.indices(list_, "aside", n) for list_ in (self.left_out, self.absent) if np.size(list_)]
+        return np.setdiff1d(np.arange(n), np.concatenate(aside)) if aside else np.arange(n)
+
+    def draw(self, axes: Axes, points: Floats) -> None:
+        """Mark data that were left out by crosses, and absent ones by rings."""
+        for some, marker, colour, name in (
+            (self.left_out, "x", "black", "left out"),
+            (self.absent, "o", GRAY, "absent"),
+        ):
+            if np.size(some):
+                where = points[np.asarray(some)]
+                label = f"{len(where)} {name}"
+                axes.plot(*where.T, marker, color=colour, mfc="none", ms=6, mew=1.4, label=label, zorder=5)
 
 
 def logarithmic(axes: Axes) -> None:

@@ -49,12 +49,20 @@ class SelectionLike(Protocol):
         """The selected count."""
 
     @property
-    def smoothing(self) -> float:
-        """The selected weight."""
+    def selected_rival(self) -> Mapping[str, str | None]:
+        """By criterion, the other model that it would choose, such as an affine map; None for a count and a weight."""
+
+    @property
+    def rival(self) -> str | None:
+        """The other model that is selected, if one is."""
+
+    @property
+    def score(self) -> float:
+        """The criterion's score of the selected model."""
 
     @property
     def place(self) -> tuple[int, int]:
-        """Positions of the selected count and weight."""
+        """Positions of the best count and weight, whether or not a rival is better."""
 
 
 class SurfaceSelectionLike(SelectionLike, Protocol):

@@ -12,7 +12,17 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import area
 from mexpress.models.surface import Surface
-from mexpress.plotting.figures import BLUE, RED, PathLike, frame, new_figure, percentile, saved, with_unit
+from mexpress.plotting.figures import (
+    BLUE,
+    RED,
+    Aside,
+    PathLike,
+    frame,
+    new_figure,
+    percentile,
+    saved,
+    with_unit,
+)
 from mexpress.plotting.solids import Solid, draw_solid
 from mexpress.plotting.subjects import SurfaceSelectionLike
 
@@ -136,6 +146,7 @@ def plot_residuals(
     *,
     image_size: ImageSize = None,
     unit: str | None = None,
+    aside: Aside | None = None,
 ) -> Figure:
     """Plot the residuals of a surface where the data are.
 
@@ -156,6 +167,8 @@ def plot_residuals(
         Of the depth map in pixels, if the points are its pixels: y then points down.
     unit : str, optional
         Of the values.
+    aside : Aside, optional
+        Data that are not in the fit: they have other marks, and no residuals.
 
     Returns
     -------
@@ -177,9 +190,10 @@ def plot_residuals(
     >>> plot_residuals(mx.fit_surface(points, depth, points[:9]), points, depth)
     <Figure size ...>
     """
-    where, measured = _data(surface, points, values)
-    size = check.image_size(image_size)
-    residuals = measured - surface(where)
+    every, measured = _data(surface, points, values)
+    kept = (aside or Aside()).kept(len(every))
+    where, size = every[kept], check.image_size(image_size)
+    residuals = measured[kept] - surface(where)
     sizes = np.abs(residuals) if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
     limit = percentile(sizes, 98) or 1.0
     figure, axes = _map_figure(where, size)
@@ -191,6 +205,8 @@ def plot_residuals(
         name, colours, extend = "distance of the data from the surface", sizes, "max"
     dots = _draw_data(axes, surface, where, colours, **look)
     axes.plot(*surface.control_points.T, "+", color="black", ms=6, mew=0.9, label="control points")
+    if aside is not None:
+        aside.draw(axes, every)
     _set_frame(axes, where, size, residuals.ndim == 1)
     figure.colorbar(
         dots, ax=axes, label=with_unit(name, unit), extend=extend, aspect=30, shrink=0.85, pad=0.02
@@ -198,7 +214,7 @@ def plot_residuals(
     rms, median = float(np.sqrt((sizes**2).mean())), float(np.median(sizes))
     figures = f"RMS {rms:.3g}, median {median:.3g}" + (f" {unit}" if unit else "")
     axes.set_title(f"residuals of the {_title(surface)}: {figures}", loc="left")
-    figure.legend(loc="outside lower center", frameon=False)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     return saved(figure, path)
 
 

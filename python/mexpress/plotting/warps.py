@@ -11,7 +11,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import diagonal
 from mexpress.plotting import rasters
-from mexpress.plotting.figures import BLUE, ORANGE, RED, YELLOW, PathLike, frame, new_figure, saved
+from mexpress.plotting.figures import BLUE, ORANGE, RED, YELLOW, Aside, PathLike, frame, new_figure, saved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,14 @@ _GRID, _CELLS = 16, 200
 """Lines of a warped grid, and samples of where a warp fails, along the longer side."""
 
 
-def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike | None = None) -> Figure:
+def plot_warp(
+    warp: Warp,
+    source: ArrayLike,
+    target: ArrayLike,
+    path: PathLike | None = None,
+    *,
+    aside: Aside | None = None,
+) -> Figure:
     """Plot how a warp bends a square grid, and its errors at matches as arrows.
 
     Parameters
@@ -34,6 +41,8 @@ def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike |
         Matches. Arrows lead from where the warp puts a source point towards its target point, magnified.
     path : str or path, optional
         Where to save the figure.
+    aside : Aside, optional
+        Matches that are not in the fit: they have other marks, and no arrows.
 
     Returns
     -------
@@ -52,7 +61,9 @@ def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike |
     >>> plot_warp(mx.fit_warp(source, source + 3, source[:4]), source, source + 3)
     <Figure size ...>
     """
-    source, target = check.points(source, "source"), check.points(target, "target")
+    every, target = check.points(source, "source"), check.points(target, "target")
+    kept = (aside or Aside()).kept(len(every))
+    source, target = every[kept], target[kept]
     predicted, lines = warp(source), _grid_lines(warp)
     wide, high = np.ptp(source, axis=0)
     figure = new_figure(12.0, float(np.clip(5.6 * high / max(wide, 1e-9) + 1.1, 3.0, 10.0)))
@@ -63,8 +74,10 @@ def plot_warp(warp: Warp, source: ArrayLike, target: ArrayLike, path: PathLike |
         frame(axes, points)
     left.plot(*source.T, ".", color=BLUE, ms=3, label=f"{len(source)} matches")
     left.plot(*warp.control_points.T, "P", color=RED, ms=8, mec="white", label=_control_points(warp))
+    if aside is not None:
+        aside.draw(left, every)
     left.set_title("source image", loc="left")
-    figure.legend(loc="outside lower left", ncols=2, frameon=False)
+    figure.legend(loc="outside lower left", ncols=4, frameon=False)
     factor = _draw_errors(right, predicted, target)
     rms = float(np.sqrt(((target - predicted) ** 2).sum(axis=1).mean()))
     right.set_title("target image, with the warped grid", loc="left")
@@ -81,6 +94,7 @@ def plot_registration(
     target: ArrayLike | None = None,
     *,
     path: PathLike | None = None,
+    aside: Aside | None = None,
 ) -> Figure:
     """Plot how well a warp registers two images, in the frame of the source image.
 
@@ -100,6 +114,8 @@ def plot_registration(
         Matches; the colours of their marks then tell the error at each.
     path : str or path, optional
         Where to save the figure.
+    aside : Aside, optional
+        Matches that are not in the fit, which have other marks.
 
     Returns
     -------
@@ -140,16 +156,21 @@ def plot_registration(
         axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", color=YELLOW, lw=1.2)
         axes.set_title(name, loc="left")
         axes.set(xlim=extent[:2], ylim=extent[2:])
-    _draw_matches(panels[0], warp, source, target)
+    _draw_matches(panels[0], warp, source, target, aside or Aside())
     for axes in panels[1:]:
         _paint_failures(axes, warp, extent)
     _legend_below(figure)
     return saved(figure, path)
 
 
-def _draw_matches(axes: Axes, warp: Warp, source: ArrayLike | None, target: ArrayLike | None) -> None:
+def _draw_matches(
+    axes: Axes, warp: Warp, source: ArrayLike | None, target: ArrayLike | None, aside: Aside
+) -> None:
     if source is not None and target is not None:
-        source, target = check.points(source, "source"), check.points(target, "target")
+        every, target = check.points(source, "source"), check.points(target, "target")
+        aside.draw(axes, every)
+        kept = aside.kept(len(every))
+        source, target = every[kept], target[kept]
         errors = np.hypot(*(target - warp(source)).T)
         known = errors[np.isfinite(errors)]
         top = float(np.percentile(known, 98)) if known.size else 0.0

@@ -23,6 +23,7 @@ from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import part, present
+from mexpress.selection.notes import Subject, notes
 from mexpress.selection.robust import THRESHOLD, find_wrong
 from mexpress.selection.selection import Selection
 from mexpress.suspicion import Suspects
@@ -59,6 +60,7 @@ class FittedSelection(Selection, Generic[ModelT]):
     """A selection with its data and its selected model: a `WarpSelection` or a `SurfaceSelection`."""
 
     data: Any
+    placement: str = field(kw_only=True)
     left_out: Integers = field(kw_only=True, default_factory=lambda: np.zeros(0, dtype=np.int64))
     searched: bool = field(kw_only=True, default=False)
     """Whether wrong data were searched for."""
@@ -78,10 +80,33 @@ class FittedSelection(Selection, Generic[ModelT]):
         """The selected warp or surface."""
 
     @cached_property
+    def kept(self) -> Integers:
+        """Indices of the data of the fit, increasing: not those of weight 0, nor those that were left out."""
+        return np.setdiff1d(present(self.data), self.left_out)
+
+    @cached_property
     def _kept_data(self) -> Any:
-        """The data of the fit: not those of weight 0, nor those that were left out."""
-        kept = np.setdiff1d(present(self.data), self.left_out)
-        return part(self.data, kept)
+        return part(self.data, self.kept)
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What a careful colleague would point out: sentences with their numbers and what to do; none as a rule.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> source = np.random.default_rng(0).uniform(0, 100, (60, 2))
+        >>> target = source + np.sin(source / 30)
+        >>> mx.select_warp(source, target).notes
+        ()
+        >>> target[7] += 20
+        >>> mx.select_warp(source, target).notes[0][-67:]
+        'looks like wrong data. robust=True finds and leaves out wrong data.'
+        """
+        return notes(
+            Subject(self, self._kept_data, self._model, self.placement, self.searched, self.least_squares)
+        )
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:

@@ -117,7 +117,7 @@ class Selection:
         >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).selected
         {'FIT': 4}
         """
-        best = {name: self._best(name) for name in self.maps}
+        best = {name: self.choice(name) for name in self.maps}
         return {name: None if at is None else int(at[0].counts[at[1]]) for name, at in best.items()}
 
     @property
@@ -132,29 +132,46 @@ class Selection:
         >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).selected_smoothing
         {'GCV': 0.0, 'FIT': 0.0}
         """
-        best = {name: self._best(name) for name in self.maps}
+        best = {name: self.choice(name) for name in self.maps}
         return {name: None if at is None else float(at[0].weights[at[2]]) for name, at in best.items()}
+
+    @property
+    def selected_rival(self) -> dict[str, str | None]:
+        """Name of the rival that each criterion selects; None for a model of these counts and weights.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> plain = mx.Selection("FIT", np.array([3]), {"FIT": np.array([1.0])}, {})
+        >>> maps = {"FIT": np.array([2.0]), "AIC": np.array([9.0])}
+        >>> mx.Selection("FIT", np.array([3]), maps, {}, rivals={"plane": plain}, rival="plane").selected_rival
+        {'FIT': 'plane', 'AIC': None}
+        """
+        winners = {name: best[0] for name in self.maps if (best := self.choice(name)) is not None}
+        names = {id(rival): name for name, rival in self.rivals.items()}
+        return {name: names.get(id(winners.get(name))) for name in self.maps}
 
     @property
     def count(self) -> int:
         """The selected number of control points."""
-        return int(self._winner.counts[self._winner.place[0]])
+        return int(self.winner.counts[self.winner.place[0]])
 
     @property
     def smoothing(self) -> float:
         """The selected weight of the bending energy."""
-        return float(self._winner.weights[self._winner.place[1]])
+        return float(self.winner.weights[self.winner.place[1]])
 
     @property
     def score(self) -> float:
         """The criterion's score of the selected model."""
-        return float(self._winner.maps[self.criterion][self._winner.place])
+        return float(self.winner.maps[self.criterion][self.winner.place])
 
     @property
     def effective_parameters(self) -> float:
         """Effective number of parameters of the selected model, trace(H); NaN if it is not known."""
-        known = self._winner.parameters
-        return math.nan if known is None else float(known[self._winner.place])
+        known = self.winner.parameters
+        return math.nan if known is None else float(known[self.winner.place])
 
     @property
     def place(self) -> tuple[int, int]:
@@ -171,13 +188,14 @@ class Selection:
         return best[1:]
 
     @property
-    def _winner(self) -> Selection:
+    def winner(self) -> Selection:
+        """The scores that have the selected model: these, or those of a rival."""
         return self if self.rival is None else self.rivals[self.rival]
 
-    def _best(self, name: str) -> tuple[Selection, int, int] | None:
+    def choice(self, name: str) -> tuple[Selection, int, int] | None:
         """The selection with the model that a criterion selects, and the positions of its count and weight."""
         if name == self.criterion and self.rival is not None:
-            return self._winner, *self._winner.place
+            return self.winner, *self.winner.place
         # A rival that the criterion did not select may still be the best by its score alone.
         own = [self] if name == self.criterion else [self, *self.rivals.values()]
         return strongest([entrant for entrant in own if name in entrant.maps], name)

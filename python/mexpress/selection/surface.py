@@ -55,7 +55,6 @@ class SurfaceSelection(FittedSelection[Surface]):
     data: Samples
     surface: Surface
     control_points: Floats
-    placement: str
     _most_flexible_count: ClassVar[int] = 100
 
     @property

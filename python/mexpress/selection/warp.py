@@ -53,7 +53,6 @@ class WarpSelection(FittedSelection[Warp]):
 
     data: Matches
     warps: dict[int, Warp]
-    placement: str
     _unit: ClassVar[str | None] = "pixels of the target image"
     _most_flexible_count: ClassVar[int] = 30
 
