@@ -67,7 +67,9 @@ def test_models_of_a_selection_share_the_data():
         assert warp.data.points is selection.source
         assert warp.data.values is selection.target
     weights = np.ones(len(HOLED))
-    assert selection.reweighted(weights).data.weights is weights
+    with pytest.warns(DeprecationWarning, match="robust=True"):
+        again = selection.reweighted(weights)
+    assert again.data.weights is weights
 
 
 @pytest.mark.parametrize("ask", ["error", "covers", "interval"])

@@ -192,7 +192,7 @@ def test_a_warp_that_folds():
     assert f"folds over {100 * share:.2g} % of the region" in note
     assert 'Try smoothing="auto", or robust=True if matches may be wrong.' in note
     assert about(mx.select_warp(*matches()), "folds") is None
-    searched = dataclasses.replace(selection, left_out=np.array([3]))
+    searched = dataclasses.replace(selection, searched=True)
     assert "robust" not in about(searched, "folds over")
 
 
@@ -223,7 +223,7 @@ def test_data_that_look_wrong():
     assert f"below {np.median(sizes):.3g} pixels, but their RMS is {np.sqrt((sizes**2).mean()):.3g}," in note
     assert f"because of 3 matches unlike their neighbours (largest {sizes.max():.3g})" in note
     assert "robust=True" in note
-    assert about(dataclasses.replace(selection, left_out=np.array([3])), "wrong data") is None
+    assert about(dataclasses.replace(selection, searched=True), "wrong data") is None
     assert about(mx.select_warp(*matches(150), smoothing=0, counts=[3, 4]), "wrong data") is None
 
 

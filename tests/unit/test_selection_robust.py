@@ -220,7 +220,7 @@ def test_neighbours_on_a_line_and_in_one_place_give_a_verdict():
 
 def test_a_second_group_of_many_is_not_beyond_a_gap():
     random = np.random.default_rng(0)
-    near, far = random.uniform(0, 1, (60, 2)), random.uniform(50, 51, (40, 2))
+    near, far = random.uniform(0, 1, (60, 2)), random.uniform(50, 80, (40, 2))
     assert not beyond_gaps(np.vstack([near, far])).any()
     assert np.flatnonzero(beyond_gaps(np.vstack([near, far[:5]]))).tolist() == [60, 61, 62, 63, 64]
     assert np.flatnonzero(beyond_gaps(np.vstack([near, -far[:5]]))).tolist() == [60, 61, 62, 63, 64]
@@ -305,3 +305,24 @@ def test_robust_is_yes_or_no(wrong):
     for select in (mx.select_warp, lambda *data, **more: mx.select_surface(data[0], data[1][:, 0], **more)):
         with pytest.raises(TypeError, match=r"^Invalid robust\. "):
             select(points, points, robust=wrong)
+
+
+def test_placeholders_and_scattered_places_are_far_but_a_second_cluster_is_not():
+    random = np.random.default_rng(6)
+    near = random.uniform(0, 100, (70, 2))
+    scattered = random.uniform(500, 3000, (12, 2))
+    assert np.flatnonzero(beyond_gaps(np.vstack([near, scattered]))).tolist() == list(range(70, 82))
+    placeholders = np.full((9, 2), -9999.0)
+    assert np.flatnonzero(beyond_gaps(np.vstack([near, placeholders]))).tolist() == list(range(70, 79))
+    cluster = 900 + random.uniform(0, 40, (15, 2))
+    assert not beyond_gaps(np.vstack([near, cluster])).any()
+
+
+def test_scattered_places_of_terrain_do_not_come_back():
+    random = np.random.default_rng(7)
+    points = random.uniform(0, 100, (200, 2))
+    values = 50 * np.sin(points[:, 0] / 15) * np.cos(points[:, 1] / 11) + random.normal(0, 5, 200)
+    points[:20] = random.uniform(300, 600, (20, 2))
+    with pytest.warns(SuspicionWarning, match="sigma is"):  # much noise, for these elevations
+        selection = mx.select_surface(points, values, robust=True)
+    assert selection.left_out.tolist() == list(range(20))

@@ -65,8 +65,10 @@ _EXPECTED = 3.0
 
 _ROUNDS = 5
 
-_FEW = 0.35
-"""Data beyond a gap wider than the data before it, half of all at least, start as left out if they are at most 35 %."""
+_FEW, _SCATTERED = 0.35, 3.0
+"""Data beyond a gap wider than the data before it, half of all at least, are wrong if they are at most 35 % and three
+times as far from the next place as the others are: nothing speaks for them, and one of them moves the region and the
+scale of all others. A second group of data, as dense as the first, is none."""
 
 
 class Selected(Protocol):
@@ -140,18 +142,20 @@ def find_wrong(
         return Suspects(np.zeros(len(data.points)), threshold, 0.0, 0.0, 0, True)
     around = Surroundings.of(data.points, threads)
     kept, steps = agreeing(data, around, seed)
+    far = beyond_gaps(data.points)
     seen: list[Mask] = []
     for _ in range(_ROUNDS):
         seen.append(kept)
         some = np.flatnonzero(kept)
         selection = select(some)
         scores, sigma = _scores(data, some, selection, around, steps, radius, threads)
+        scores[far] = np.inf
         kept = ~(scores > threshold)
         if any((kept == before).all() for before in seen):
             break
     settled = bool((kept != seen[-1]).mean() <= UNSETTLED_SHARE)
     if not isinstance(data, Matches):
-        scores = _against_expectation(data, scores, selection, threshold)
+        scores = _against_expectation(data, scores, far, selection, threshold)
         kept = ~(scores > threshold)
     found = Suspects(scores, threshold, sigma, _spread(data.values[kept]), len(seen), settled)
     if len(found.indices) and found.doubtful:
@@ -248,7 +252,7 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
 
 
 def beyond_gaps(points: Floats) -> Mask:
-    """Return which points are few and beyond a gap, along x or y, that is wider than the data before it.
+    """Return which points are few, far from each other, and beyond a gap in x or y wider than the data before it.
 
     Examples
     --------
@@ -269,7 +273,19 @@ def beyond_gaps(points: Floats) -> Mask:
             beyond[order[gaps_right[0] + 1 :]] = True
         if gaps_left.size:
             beyond[order[: gaps_left[-1] + 1]] = True
-    return beyond if beyond.mean() <= _FEW else np.zeros_like(beyond)
+    far = beyond.any() and beyond.mean() <= _FEW and _scattered(points, beyond)
+    return beyond if far else np.zeros_like(beyond)
+
+
+def _scattered(points: Floats, some: Mask) -> bool:
+    """Whether the places of some points are much farther from the next place than those of the others are.
+
+    Placeholders share their place, which is one.
+    """
+    places, first = np.unique(points, axis=0, return_index=True)
+    pairs = Places(places).nearest(2).held_out.indices.reshape(-1, 2)
+    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
+    return bool(np.median(apart[some[first]]) > _SCATTERED * np.median(apart[~some[first]]))
 
 
 def _plane_errors(
@@ -343,9 +359,12 @@ def _scores(
     squares, freedom = studentised_squares(fit, scheme, weights, threads)
     kept = np.zeros(n, dtype=np.bool_)
     kept[some] = True
-    away = (selection._model(data.points) - data.values).reshape(n, -1)
-    errors = np.nan_to_num(np.sqrt((away**2).mean(axis=1)), nan=np.inf)  # beyond the horizon of a warp
+    errors = np.empty(n)
     errors[some] = np.sqrt(squares / freedom)
+    if not kept.all():
+        away = (selection._model(data.points[~kept]) - data.values[~kept]).reshape(n - len(some), -1)
+        # NaN is beyond the horizon of a warp.
+        errors[~kept] = np.nan_to_num(np.sqrt((away**2).mean(axis=1)), nan=np.inf)
     known = kept & np.isfinite(errors)
     per_row = int(freedom[0])
     noise = float(np.median(errors[known])) / _noise(0.5, per_row)
@@ -355,13 +374,15 @@ def _scores(
     return np.minimum(errors, steps) / scale, sigma
 
 
-def _against_expectation(data: Samples, scores: Floats, selection: Selected, threshold: float) -> Floats:
+def _against_expectation(
+    data: Samples, scores: Floats, far: Mask, selection: Selected, threshold: float
+) -> Floats:
     """Scores of which those above the threshold are at least errors in units of a third of what is expected there.
 
     Ground is rough in places, and at its borders the prediction is vague, so the noise alone makes too much of an
     error. Points beyond a gap have no expectation.
     """
-    doubted = np.flatnonzero((scores > threshold) & ~beyond_gaps(data.points))
+    doubted = np.flatnonzero((scores > threshold) & ~far)
     if not len(doubted):
         return scores
     points, values = data.points[doubted], data.values[doubted]
