@@ -72,13 +72,17 @@ def draw_errors(error, paper, errors):
     by_count = {}
     for name, count in paper.selected.items():
         by_count.setdefault(count, []).append(name)
-    for count, names in by_count.items():
+    below = 0
+    for count, names in sorted(by_count.items()):
         axes.plot(count, errors[count - 3], "o", color="#D55E00")
-        last = count > paper.counts[-1] / 2  # where there is room: above on the left, below on the right
+        last = (
+            count > paper.counts[-1] / 2
+        )  # where there is room: above on the left, one below the other on the right
         beside = {"ha": "right", "va": "top"} if last else {"ha": "left", "va": "bottom"}
-        offset = (4, -8) if last else (6, 3)
+        offset = (4, -8 - 13 * below) if last else (6, 3)
+        below += last
         place = count, errors[count - 3]
-        axes.annotate(", ".join(names), place, offset, textcoords="offset points", **beside)
+        axes.annotate(f"{count}: {', '.join(names)}", place, offset, textcoords="offset points", **beside)
     axes.margins(0.05, 0.12)
     axes.set(xlabel="number of control points", ylabel="RMS error at the elevations not used (m)")
     axes.set_title("the truth, and what every criterion selects", loc="left")
