@@ -262,21 +262,21 @@ class Score:
         Value in the responses' unit (AIC and BIC have none); NaN if there are such data.
     undefined : int64 array
         Data whose training data do not determine the model.
-    squares : (n,) array, optional
-        Squared prediction errors, summed by datum; of one model at a time, and of criteria with a scheme.
+    errors : (n,) array, optional
+        Size of the prediction error of every datum; of one model at a time, and of criteria with a scheme.
 
     Examples
     --------
     >>> import mexpress as mx
     >>> import numpy as np
     >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 3.0, 5.0])
-    >>> mx.criteria.Scorer.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].squares.round(9)
-    array([9., 0., 9.])
+    >>> mx.criteria.Scorer.of(["CMPRESS"], np.eye(3, 2)).scores(model)["CMPRESS"].errors.round(9)
+    array([3., 0., 3.])
     """
 
     value: float
     undefined: Integers
-    squares: Floats | None = None
+    errors: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -410,11 +410,10 @@ class Scorer:
                 cv = predictions[name]
                 pairs = self.schemes[name].validated
                 data = [pairs[pair] for pair in cv.undefined]
-                squares = (cv.residuals.reshape(len(cv.rows), -1) ** 2).sum(axis=1)
                 scores[name] = Score(
                     cv.score,
                     np.unique(np.concatenate([*data, cv.undefined[:0]])),
-                    np.asarray(np.bincount(datum[cv.rows], squares, model.n_data), dtype=np.float64),
+                    _sizes(cv.residuals, datum[cv.rows], model.n_data),
                 )
             elif criterion is not None and criterion.family in FORMULAS:
                 scores[name] = Score(FORMULAS[criterion.family](fit), np.zeros(0, dtype=np.int64))
@@ -508,6 +507,15 @@ def _scored(curve: NestedCurve, validated: IndexSets) -> list[Score]:
         data = [validated[pair] for pair in lost]
         scores.append(Score(float(value), np.unique(np.concatenate([*data, lost[:0]]))))
     return scores
+
+
+def _sizes(residuals: Floats, datum: Integers, n: int) -> Floats:
+    """Root of the sum of squares of every datum's residuals, free of overflow; (n,)."""
+    largest = float(np.abs(residuals).max(initial=0.0))
+    if largest == 0.0 or not np.isfinite(largest):
+        return np.full(n, largest)
+    squares = ((residuals.reshape(len(datum), -1) / largest) ** 2).sum(axis=1)
+    return np.asarray(largest * np.sqrt(np.bincount(datum, squares, n)))
 
 
 def _press(model: LeastSquares, threads: int | None) -> Score:

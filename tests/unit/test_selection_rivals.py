@@ -87,7 +87,8 @@ def test_without_perspective_the_grid_has_the_affine_map():
 
 
 def entrant(squares, parameters, **more):
-    return Entrant(None, float(np.sqrt(squares.mean())), parameters, None, {"MATCHED": squares, **more})
+    errors = {name: np.sqrt(each) for name, each in {"MATCHED": squares, **more}.items()}
+    return Entrant(None, float(np.sqrt(squares.mean())), parameters, None, errors)
 
 
 def requested(weights=None):
@@ -351,3 +352,16 @@ def test_what_a_caller_does_to_the_arrays_later_changes_nothing():
         array[:] = 1e3
     np.testing.assert_array_equal(other.warp.error(SOURCE + 5), before)
     assert other.least_squares().fit_rms == selection.rivals["affine map"].curves["FIT"][0]
+
+
+def test_press_has_no_rivals_since_it_averages_over_rows():
+    selection = mx.select_warp(SOURCE, AFFINE + NOISE, "PRESS")
+    assert selection.rivals == {}
+    assert selection.warp.fractional
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-9, 1e9, 1e160])
+def test_the_unit_of_values_does_not_matter_to_rivals(unit):
+    plain = mx.select_surface(SOURCE, AFFINE[:, 0] + NOISE[:, 0], lifting="bspline")
+    scaled = mx.select_surface(SOURCE, unit * (AFFINE[:, 0] + NOISE[:, 0]), lifting="bspline")
+    assert (scaled.rival, scaled.count) == (plain.rival, plain.count) == ("plane", 3)

@@ -76,6 +76,8 @@ def select(
         Name of the progress that is shown, if any.
     """
     own, sweep, ordered = grid.select(request, label)
+    if own.criterion == "PRESS":  # it averages over rows, and not every family has as many
+        plain, bridge = {}, None
     winner = Entrant.best_of(None, own, sweep)
     tried = {name: candidates.select(request, None)[:2] for name, candidates in plain.items()}
     simple = (Entrant.best_of(name, *found) for name, found in tried.items())
@@ -91,7 +93,6 @@ def select(
         other = Entrant.best_of(PIECEWISE_AFFINE, *tried[PIECEWISE_AFFINE])
         if other is not None and other.surely_better_than(winner, request):
             winner = other
-    # PRESS averages over rows, and not every family has as many.
     rivals = {name: found[0].showing(request.shown - {"PRESS"}) for name, found in tried.items()}
     selection = replace(own.showing(request.shown), rivals=rivals, rival=winner.name)
     return Outcome(selection, sweep, ordered, winner.model)
@@ -111,15 +112,15 @@ class Entrant(Generic[ModelT]):
         Effective number of parameters.
     model : Warp or Surface
         The model.
-    squares : dict of str to (n,) array
-        Squared prediction error of every datum, by scheme.
+    errors : dict of str to (n,) array
+        Size of the prediction error of every datum, by scheme.
     """
 
     name: str | None
     score: float
     parameters: float
     model: ModelT
-    squares: dict[str, Floats]
+    errors: dict[str, Floats]
 
     @classmethod
     def best_of(cls, name: str | None, scores: Selection, models: Sweep[ModelT]) -> Entrant[ModelT] | None:
@@ -129,9 +130,9 @@ class Entrant(Generic[ModelT]):
         k, w = scores.place
         model = models.model(k, w)
         assert model is not None  # a model with a score is determined
-        found = {of: by[k].squares for of, by in models.scores[w].items()}
-        squares = {of: each for of, each in found.items() if each is not None}
-        return cls(name, scores.score, scores.effective_parameters, model, squares)
+        found = {of: by[k].errors for of, by in models.scores[w].items()}
+        errors = {of: each for of, each in found.items() if each is not None}
+        return cls(name, scores.score, scores.effective_parameters, model, errors)
 
     def may_replace(self, other: Entrant[ModelT], request: CriteriaRequest) -> bool:
         """Whether this simpler model predicts no worse: the mean difference is within half its standard error.
@@ -140,23 +141,25 @@ class Entrant(Generic[ModelT]):
         """
         if self.parameters >= other.parameters:
             return self.score < other.score
-        names = {request.listed[0], "CMPRESS"} & self.squares.keys() & other.squares.keys()
+        names = {request.listed[0], "CMPRESS"} & self.errors.keys() & other.errors.keys()
         if request.listed[0] not in names:
             return self.score <= other.score
-        means = (_mean_and_error(self.squares[of] - other.squares[of], request) for of in names)
+        means = (_mean_and_error(self.errors[of], other.errors[of], request) for of in names)
         return all(mean <= 0.5 * error for mean, error in means)
 
     def surely_better_than(self, other: Entrant[ModelT], request: CriteriaRequest) -> bool:
         """Whether this model predicts better by more than the standard error of the mean difference."""
         name = request.listed[0]
-        if name not in self.squares or name not in other.squares:
+        if name not in self.errors or name not in other.errors:
             return False
-        mean, error = _mean_and_error(self.squares[name] - other.squares[name], request)
+        mean, error = _mean_and_error(self.errors[name], other.errors[name], request)
         return mean + error < 0
 
 
-def _mean_and_error(differences: Floats, request: CriteriaRequest) -> tuple[float, float]:
-    """The weighted mean of differences, (n,), and its standard error."""
+def _mean_and_error(new: Floats, old: Floats, request: CriteriaRequest) -> tuple[float, float]:
+    """Weighted mean of differences of squared errors, (n,), and its standard error, in units of the largest."""
+    largest = float(max(new.max(), old.max())) or 1.0
+    differences = (new / largest) ** 2 - (old / largest) ** 2
     weights = request.data.weights
     each = differences if weights is None else differences * weights / weights.mean()
     return float(each.mean()), float(each.std() / math.sqrt(len(each)))

@@ -157,7 +157,8 @@ def find_wrong(
     if not isinstance(data, Matches):
         scores = _against_expectation(data, scores, far, selection, threshold)
         kept = ~(scores > threshold)
-    found = Suspects(scores, threshold, sigma, _spread(data.values[kept]), len(seen), settled)
+    spread = _spread(data.values[kept] if kept.any() else data.values)
+    found = Suspects(scores, threshold, sigma, spread, len(seen), settled)
     if len(found.indices) and found.doubtful:
         warnings.warn(SuspicionWarning(found.doubt), stacklevel=2)
     return found
