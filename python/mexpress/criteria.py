@@ -42,7 +42,7 @@ from mexpress import schemes
 from mexpress._validation import Floats, Integers
 from mexpress.geometry import Region, hull, lattice
 from mexpress.geometry import diagonal as _diagonal
-from mexpress.index_sets import IndexSets, singletons
+from mexpress.index_sets import IndexSets, compress, singletons
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.leastsquares.nested import Nested, NestedCurve
 from mexpress.schemes import LazyNeighbourhoods, Places, Scheme
@@ -56,6 +56,9 @@ Made = TypeVar("Made")
 
 LEAVE_P_OUT_SETS = 1000
 LEAST_QUERIES = 2000
+FEWEST_VALIDATED, VALIDATED_WORK = 50, 90_000
+"""Of n data, so many are predicted for far queries: the work divided by n, this many at least."""
+
 RANDOM_REPEATS = 100
 
 
@@ -120,11 +123,22 @@ def _share(percent: float, n: int) -> int:
 
 def _matched(domain: Domain) -> Scheme:
     """The scheme of `mexpress.schemes.matched`, by default with queries all over the region that the data cover."""
-    queries = domain.queries
-    if queries is None:
-        region = domain.region or Region(hull(domain.points, "points"))
-        queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
+    if domain.queries is not None:
+        return _thinned(domain.places.matched(domain.queries, threads=domain.threads))
+    region = domain.region or Region(hull(domain.points, "points"))
+    queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
     return domain.places.matched(queries, threads=domain.threads)
+
+
+def _thinned(scheme: Scheme) -> Scheme:
+    """Every so many pairs along the visiting order: far from the data each holds out many, and costs as much."""
+    n = len(scheme)
+    number = min(n, max(FEWEST_VALIDATED, VALIDATED_WORK // n))
+    some = np.sort(scheme.visiting_order[np.linspace(0, n - 1, number).round().astype(np.int64)])
+    if number == n:
+        return scheme
+    held, validated = (compress(sets[pair] for pair in some) for sets in (scheme.held_out, scheme.validated))
+    return Scheme(scheme.n_data, held, validated)
 
 
 SCHEMES: dict[str, Callable[[float, Domain], Scheme]] = {

@@ -532,7 +532,7 @@ def test_queries(run, matches, tmp_path, how):
     [
         ("no.txt", "no.txt: No such file"),
         ("9,9,3,3", "Invalid queries"),
-        ("1,2,3", "1,2,3: No such file"),
+        ("1,2,3", "must be a file, X0,Y0,X1,Y1 or image, not '1,2,3'"),
         ("image", "Invalid queries"),
     ],
 )

@@ -306,3 +306,12 @@ def test_standard_deviations_of_depths(run, tmp_path):
     )
     said = json.loads((tmp_path / "selection.json").read_text())
     assert said["curves"]["CMPRESS"] == pytest.approx(expected.curves["CMPRESS"].tolist(), rel=1e-12)
+
+
+def test_queries_in_a_file(sheet, run, tmp_path):
+    (tmp_path / "q.csv").write_text("x,y\n0.2,0.3\n0.9,0.8\n")
+    few = ["--max-count", "9", "--no-plots", "--quiet"]
+    status, _, errors = run("surface", sheet, "--queries", tmp_path / "q.csv", *few, "--out", tmp_path)
+    assert status == 0, errors
+    status, _, errors = run("surface", sheet, "--queries", "1,2,3", "--out", tmp_path)
+    assert (status, "must be a file, X0,Y0,X1,Y1 or image" in errors) == (2, True)

@@ -147,7 +147,7 @@ def test_files_with_damaged_data_are_refused(name, array, tmp_path):
 
 
 def neighbourhoods(points):
-    return list(curves_module._neighbourhoods(points, Region.of(points)))
+    return list(curves_module._neighbourhoods(points, Region.of(points), 100))
 
 
 @pytest.mark.parametrize("points", [POINTS, HOLED, np.repeat(POINTS[:20], 3, axis=0), POINTS.round(-2)])
@@ -312,3 +312,11 @@ def test_results_have_one_line():
     assert repr(ErrorCurve(np.array([1.0, 2.0]), np.array([0.5, 4.0]))) == "ErrorCurve(0.5 at 1 to 4 at 2)"
     assert repr(SURFACE.error_curves).startswith("ErrorCurves(inside=ErrorCurve(")
     assert repr(SURFACE.interval(POINTS)).startswith("Interval(120 points, median width 0.")
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_what_could_not_be_tested_is_not_covered(unit):
+    points = unit * np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 3.0], [3.0, 4.0]])
+    surface = mx.fit_surface(points, [0.0, 1.0, 2.0, 4.0], points)
+    assert np.isinf(surface.error(points)).all()
+    assert not surface.covers([*points, points.mean(axis=0)]).any()

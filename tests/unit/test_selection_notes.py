@@ -327,3 +327,9 @@ def test_gaps_are_why_matched_disagrees():
     assert f"MATCHED selects {selection.effective_parameters:.0f} effective parameters, CMPRESS" in note
     assert "or MATCHED judges predictions in gaps that the data leave." in note
     assert 'criterion="CMPRESS" follows the other' in note
+
+
+def test_constant_data_have_no_notes():
+    points = np.random.default_rng(0).uniform(0, 640, (30, 2))
+    assert mx.select_surface(points, np.ones(30)).notes == ()
+    assert mx.select_surface(points, np.full(30, 1234.5678)).notes == ()

@@ -6,6 +6,7 @@ import pytest
 import mexpress as mx
 from mexpress.liftings import PiecewiseAffine
 from mexpress.placement import farthest_first
+from mexpress.schemes import Places
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import Matches, Samples
 from mexpress.selection.queries import Queries
@@ -365,3 +366,44 @@ def test_the_unit_of_values_does_not_matter_to_rivals(unit):
     plain = mx.select_surface(SOURCE, AFFINE[:, 0] + NOISE[:, 0], lifting="bspline")
     scaled = mx.select_surface(SOURCE, unit * (AFFINE[:, 0] + NOISE[:, 0]), lifting="bspline")
     assert (scaled.rival, scaled.count) == (plain.rival, plain.count) == ("plane", 3)
+
+
+def test_counts_above_the_number_of_the_remaining_data_are_that_number():
+    weights = np.r_[np.ones(15), np.zeros(N - 15)]
+    for smoothing in ("auto", 0):
+        selection = mx.select_warp(
+            SOURCE,
+            AFFINE + NOISE,
+            "GCV",
+            counts=[10, 20, 23],
+            weights=weights,
+            smoothing=smoothing,
+            fractional=False,
+        )
+        assert selection.counts.tolist() == [10, 15]
+
+
+def test_a_rival_may_be_all_that_has_a_score(tmp_path):
+    few = SOURCE[:6]
+    selection = mx.select_warp(few, AFFINE[:6] + NOISE[:6], queries=(0, 0, 3000, 3000))
+    assert selection.rival == "affine map"
+    assert selection.notes == ()
+    selection.plot(tmp_path / "curves.png")
+
+
+def test_many_data_are_judged_by_some_for_far_queries():
+    points = RNG.uniform(0, 100, (600, 2))
+    values = np.sin(points[:, 0] / 12) + 0.05 * RNG.normal(size=600)
+    places = RNG.uniform([80, 0], [180, 100], (400, 2))
+    selection = mx.select_surface(points, values, queries=places, max_count=40)
+    whole, order = mx.schemes.matched(points, places), Places(points).order
+    some = np.sort(order[np.linspace(0, 599, 90_000 // 600).round().astype(int)])
+    scheme = mx.schemes.from_sets([whole.held_out[i] for i in some], [[i] for i in some], n=600)
+    expected = selection.least_squares().cross_validate(scheme).score
+    assert selection.score == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_weights_beyond_all_measure_are_refused(size):
+    with pytest.raises(ValueError, match=r"^Invalid weights\. Those above 0 must be from 1e-50 to 1e\+50\. "):
+        mx.select_warp(SOURCE, AFFINE, weights=np.full(N, size))

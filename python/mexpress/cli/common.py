@@ -113,10 +113,12 @@ def _queries(text: str) -> tuple[float, ...] | str | Path:
     if text.strip().lower() == IMAGE:
         return IMAGE
     try:
-        left, top, right, bottom = map(float, text.split(","))
+        numbers = tuple(map(float, text.split(",")))
     except ValueError:
         return Path(text)
-    return left, top, right, bottom
+    if len(numbers) != 4:
+        raise argparse.ArgumentTypeError(f"must be a file, X0,Y0,X1,Y1 or image, not {text!r}")
+    return numbers
 
 
 def _smoothing(text: str) -> float | list[float] | str:

@@ -15,7 +15,6 @@ from mexpress.cli import common
 from mexpress.io.archives import ARCHIVES
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
-from mexpress.selection.queries import IMAGE
 
 _DATA = 10_000
 """As many data as the paper's depth maps have."""
@@ -92,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> None:
     unit = arguments.unit or _unit(arguments, cloud)
     arguments.out.mkdir(parents=True, exist_ok=True)
     options = common.selection_options(arguments)
-    if options["queries"] == IMAGE:
+    if isinstance(options["queries"], str):
         options["queries"] = _image(cloud)
     selection = select_surface(
         cloud.points,

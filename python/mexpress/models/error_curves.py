@@ -22,8 +22,8 @@ _RADII = 10
 _LARGEST_SHARE = 0.5
 """Largest share of the data that are held out for one prediction."""
 
-_FEWEST, _MOST, _WORK = 60, 100, 400_000
-"""Neighbourhoods of each radius: _WORK / n, within these limits."""
+_FEWEST, _MOST, _WORK = 30, 100, 45_000_000
+"""Neighbourhoods of each radius: _WORK / (n p) with p unknowns, within these limits."""
 
 _PREDICTED, _EDGE = 9, 1 / 3
 """Data that are predicted in a neighbourhood, at most, and how deep inside it they are, in radii.
@@ -65,6 +65,8 @@ class ErrorCurve:
     def __call__(self, distance: Floats) -> Floats:
         """Return the errors at distances: linear between knots, constant before them, proportional beyond them."""
         tested = np.interp(distance, self.distances, self.errors)
+        if self.reach == 0:  # nothing could be tested
+            return tested
         return np.asarray(tested * np.maximum(distance / self.reach, 1))
 
     @property
@@ -145,7 +147,8 @@ class ErrorCurves:
         weights : (n,) array or None
             Weights of the data in the averages.
         """
-        gaps = list(_neighbourhoods(points, domain))
+        number = int(np.clip(_WORK // (len(points) * len(fit.coefficients)), _FEWEST, _MOST))
+        gaps = list(_neighbourhoods(points, domain, number))
         held, validated = compress(gap.held_out for gap in gaps), compress(gap.predicted for gap in gaps)
         scheme = Scheme(len(points), held, validated)
         residuals = cross_validate_all(fit, {"": scheme}, None)[""].residuals
@@ -159,7 +162,7 @@ class ErrorCurves:
             ErrorCurve.through(distances[some], squares[some], shares[some]) for some in (~outside, outside)
         )
         if near is None or far is None:
-            only = near or far or ErrorCurve(np.ones(1), np.full(1, np.inf))
+            only = near or far or ErrorCurve(np.zeros(1), np.full(1, np.inf))
             return cls(only, only)
         # The region of the data has no step at its edge.
         edge = min(near.errors[0], far.errors[0])
@@ -177,10 +180,9 @@ class Gap(NamedTuple):
     """Whether they are outside the region of the data that are not held out."""
 
 
-def _neighbourhoods(points: Floats, domain: Region) -> Iterator[Gap]:
+def _neighbourhoods(points: Floats, domain: Region, number: int) -> Iterator[Gap]:
     """Hold out ever larger neighbourhoods of data that are spread as the data are."""
     n, order = len(points), Places(points).order
-    number = int(np.clip(_WORK // n, _FEWEST, _MOST))
     centres = _spread(order, number)
     corner = (points[:, None] == domain.corners).all(axis=2).any(axis=1)
     most = max(1, math.floor(_LARGEST_SHARE * n))

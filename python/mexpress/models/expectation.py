@@ -116,7 +116,8 @@ class FittedModel(Model):
         """
         points = check.points(points, "points")
         distance = nearest(points, self._known("covers").points)[1]
-        return self._inside(points) & (distance <= self.error_curves.inside.reach)
+        tested = self.error_curves.inside
+        return self._inside(points) & (distance <= tested.reach) & np.isfinite(tested(distance))
 
     def interval(self, points: ArrayLike, level: float = 0.9) -> Interval:
         """Return an interval for a measurement at each point by jackknife+, from all leave-one-out models.

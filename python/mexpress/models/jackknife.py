@@ -70,9 +70,9 @@ class Jackknife(Generic[ModelT]):
         n, g = fit.n_data, design.coupling
         roots = np.ones(n) if design.weights is None else np.sqrt(design.weights)
         left_out = cross_validate_all(fit, {"": leave_one_out(n)}, None)[""].residuals
-        basis, self._triangle = np.linalg.qr(_stacked(design, roots, smoothing))
-        self._basis = basis[: g * n]
-        self._coefficients = fit.coefficients.reshape(len(self._triangle), -1)
+        basis, triangle = np.linalg.qr(_stacked(design, roots, smoothing))
+        self._basis, self._triangle = basis[: g * n], triangle
+        self._coefficients = fit.coefficients.reshape(len(triangle), -1)
         self._changes = left_out.reshape(n, g, -1) * roots[:, None, None]
 
     def residuals(self) -> Floats:
@@ -80,7 +80,7 @@ class Jackknife(Generic[ModelT]):
         data = self._design.data
         n, g, _ = self._changes.shape
         own = np.empty((n, data.values[0].size))
-        step = max(1, _ENTRIES // self._basis.size * n)
+        step = max(1, _ENTRIES * n // self._basis.size)
         for first in range(0, n, step):
             some = slice(first, first + step)
             rows, numbers = self._whole(data.points[some])

@@ -148,6 +148,9 @@ class Samples:
         return linear_design(basis, self.points, self.values, self.domain, Surface).weighted(self.weights)
 
 
+_HEAVIEST = 1e50
+"""Products of weights with areas and sums of squares must not overflow."""
+
 Data: TypeAlias = Matches | Samples
 
 DataT = TypeVar("DataT", Matches, Samples)
@@ -189,6 +192,10 @@ def _weights(weights: ArrayLike | None, n: int) -> Floats | None:
         check.refuse("weights", rule, f"shape {shares.shape}")
     if check.finite(shares, "weights").min() < 0 or shares.max() == 0:
         check.refuse("weights", rule, f"{shares.min():g} for datum {int(shares.argmin())}")
+    smallest, largest = shares[shares > 0].min(), shares.max()
+    if largest > _HEAVIEST or smallest < 1 / _HEAVIEST:
+        limits = f"Those above 0 must be from {1 / _HEAVIEST:g} to {_HEAVIEST:g}."
+        check.refuse("weights", limits, f"{smallest:g} to {largest:g}")
     return shares.copy()
 
 

@@ -98,12 +98,18 @@ class Subject:
         return np.asarray(np.linalg.norm(self.residuals, axis=1))
 
     @cached_property
+    def places(self) -> int:
+        """Number of different positions of the data."""
+        return len(np.unique(self.data.points, axis=0))
+
+    @cached_property
     def exact(self) -> bool:
         """Whether the residuals are of rounding, or too few are known."""
         known = np.isfinite(self.sizes)
         values = self.data.values.reshape(len(known), -1)
         spread = math.sqrt(values.var(axis=0).sum())
-        return bool(known.sum() < _FEWEST or np.median(self.sizes[known]) <= _ROUNDING * spread)
+        rounding = max(_ROUNDING * spread, 1e-12 * float(np.abs(values).max()))
+        return bool(known.sum() < _FEWEST or np.median(self.sizes[known]) <= rounding)
 
     @cached_property
     def studentised(self) -> Floats:
@@ -345,7 +351,7 @@ def _looser(subject: Subject) -> str:
     scores = subject.scores
     if not subject.by_weight:
         return 'smoothing="auto"'
-    if scores.rival is None and scores.count == scores.counts[-1] < len(subject.data.points):
+    if scores.rival is None and scores.count == scores.counts[-1] < subject.places:
         return f"more control points, {subject.largest}"
     return 'criterion="CMPRESS"' if scores.criterion != "CMPRESS" else "a smaller weight, smoothing=W"
 
@@ -370,7 +376,7 @@ def _end_of_weights(subject: Subject) -> Iterator[str]:
     interpolates = parameters > _INTERPOLATES * subject.data.values.size
     if scores.smoothing == scores.weights[0] and not interpolates:
         weight = f"smoothing {scores.smoothing:.3g}"
-        if scores.count == scores.counts[-1] < len(subject.data.points):
+        if scores.count == scores.counts[-1] < subject.places:
             yield (
                 f"{scores.count} control points and {weight} are selected, the largest number and the smallest weight "
                 f"tried: more may be better, see {subject.largest}."
@@ -389,6 +395,8 @@ def _plain_parameters(model: Model) -> int:
 
 def _undefined(subject: Subject) -> Iterator[str]:
     counts, wide = subject.scores.counts, _too_wide(subject)
+    if subject.scores.rival is not None:  # the grid is not what was selected
+        return
     for name, by_count in subject.scores.undefined.items():
         if name in wide:
             continue

@@ -35,8 +35,8 @@ Mask = NDArray[np.bool_]
 
 THRESHOLD = 6.0
 
-FEWEST = 8
-"""Fewer data than this have no verdict: a plane through three of them leaves no majority."""
+FEWEST, FEWEST_SAMPLES = 8, 25
+"""Fewer matches, or samples of a surface, have no verdict: planes through three of them leave too small a majority."""
 
 _NEIGHBOURS = 24
 _REACH = 40
@@ -138,7 +138,7 @@ def find_wrong(
     >>> sorted(found.indices.tolist())
     [7, 30, 90]
     """
-    if len(data.points) < FEWEST:
+    if len(data.points) < (FEWEST if isinstance(data, Matches) else FEWEST_SAMPLES):
         return Suspects(np.zeros(len(data.points)), threshold, 0.0, 0.0, 0, True)
     around = Surroundings.of(data.points, threads)
     kept, steps = agreeing(data, around, seed)

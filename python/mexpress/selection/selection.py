@@ -175,13 +175,15 @@ class Selection:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Positions of the best count and weight, whether or not a rival is better."""
+        """Positions of the best count and weight, whatever rivals do; the first ones if only a rival has a score."""
         best = strongest([self], self.criterion)
+        if best is None and self.rival is not None:
+            return 0, 0
         if best is None:
-            rule = (
-                "It must have a score at one count at least; more data, fewer of them held out, or smoothing "
-                "above 0 may help."
+            ways = "more data, or fewer of them held out, as by CMPRESS" + (
+                "" if self.weights[0] > 0 else ", or smoothing above 0"
             )
+            rule = f"It must have a score at one count at least; {ways} may help."
             check.refuse(
                 "criterion", rule, f"{self.criterion}, undefined from {self.counts[0]} control points on"
             )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
@@ -253,7 +254,7 @@ class WarpQuestion:
         return Candidates(
             lifting,
             partial(matches.design, fractional=self.fractional, over_data=_over_data(placement)),
-            None if self.counts is None else self.counts[self.counts <= n],
+            None if self.counts is None else np.unique(np.minimum(self.counts, n)),
             usual.largest,
             partial(farthest_order, matches.source) if placement == "nested" else None,
             self.smoothing,
