@@ -32,7 +32,6 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -40,6 +39,7 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress import schemes
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.geometry import Region, hull, lattice
 from mexpress.geometry import diagonal as _diagonal
 from mexpress.index_sets import IndexSets, compress, singletons

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 
 NEAR_LINE = 1e-6
 """Points are on a line if their spread across it is below this fraction of the spread along it."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import chain, combinations
 from typing import Any
 
@@ -26,6 +25,7 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.index_sets import IndexSets, checked, compress, contained, singletons
 
 __all__ = [

@@ -1,7 +1,6 @@
 """Piecewise affine functions over triangles: local, but not smooth."""
 
 from collections.abc import Iterator
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register

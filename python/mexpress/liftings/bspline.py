@@ -1,6 +1,5 @@
 """Bicubic B-splines: smooth and local."""
 
-from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register

@@ -1,6 +1,5 @@
 """Thin-plate splines: the smoothest functions with given values at scattered control points."""
 
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 from mexpress.geometry import Region
 from mexpress.liftings.lifting import Lifting, blocks, register
 from mexpress.placement import lloyd

@@ -1,7 +1,6 @@
 """Delaunay triangulation: triangles, hull, and the triangle of a point."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from mexpress import _core
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 
 Indices: TypeAlias = NDArray[np.intp]
 

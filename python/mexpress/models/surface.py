@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.geometry import EDGE, Region, area, inside
 from mexpress.io import meshes
 from mexpress.models.design import CardinalBasis, Design, linear_design

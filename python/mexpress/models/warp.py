@@ -1,7 +1,6 @@
 """Image warps: linear in a lifting, or fractional (deformable perspective)."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 from mexpress.geometry import Region, diagonal, lattice, nearest
 from mexpress.models.design import CardinalBasis, Design, fractional_design, linear_design
 from mexpress.models.expectation import FittedModel

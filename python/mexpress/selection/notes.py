@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
 from mexpress.criteria import parse
 from mexpress.geometry import diagonal, lattice
 from mexpress.leastsquares.model import LeastSquares, datum_of_row

@@ -8,13 +8,14 @@ sheet stay the same up to rounding, for any angles. See `Sheet`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.simulation.cameras import FOCAL, facing, look
 
 COUNT = 10
