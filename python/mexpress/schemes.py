@@ -188,6 +188,18 @@ class Places:
         k, workers = check.count(k, "k", 1, len(self.points)), check.threads(threads)
         return self._listed(lambda: _core.neighbours_nearest(self.points, k, workers))
 
+    def neighbours(self, k: int, threads: int | None = None) -> Integers:
+        """Return the k nearest data of each datum with itself, (n, k), in the order of their indices."""
+        return self.nearest(k, threads).held_out.indices.reshape(-1, k)
+
+    def spacing(self) -> Floats:
+        """Return the distance of each datum to the nearest other one, (n,); zero if there is only one."""
+        if len(self.points) < 2:
+            return np.zeros(1)
+        pairs = self.points[self.neighbours(2)]
+        # hypot, since squares of tiny or huge distances are not numbers
+        return np.asarray(np.hypot.reduce(pairs[:, 0] - pairs[:, 1], axis=1))
+
     def matched(self, queries: Floats, min_train: float = 0.5, threads: int | None = None) -> Scheme:
         """List the neighbourhoods of `matched`."""
         share = check.number(min_train, "min_train", SHARE_RULE, 0.0, strict=True)

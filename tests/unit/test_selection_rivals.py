@@ -407,3 +407,14 @@ def test_many_data_are_judged_by_some_for_far_queries():
 def test_weights_beyond_all_measure_are_refused(size):
     with pytest.raises(ValueError, match=r"^Invalid weights\. Those above 0 must be from 1e-50 to 1e\+50\. "):
         mx.select_warp(SOURCE, AFFINE, weights=np.full(N, size))
+
+
+def test_nested_models_list_no_neighbourhoods(monkeypatch):
+    """The lists of a whole depth map do not fit in memory."""
+
+    def listing(*_):
+        raise AssertionError("neighbourhoods were listed")
+
+    monkeypatch.setattr(Places, "_listed", listing)
+    selection = mx.select_surface(SOURCE, AFFINE[:, 0] + NOISE[:, 0], "NN03PTS", ["ER05", "FIT"], smoothing=0)
+    assert set(selection.maps) == {"NN03PTS", "ER05", "FIT"}

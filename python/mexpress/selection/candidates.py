@@ -70,35 +70,40 @@ class CriteriaRequest:
     def scorer(self, nested: bool) -> tuple[str, Scorer]:
         """Return the name of the criterion that selects, and a scorer of all criteria; `nested` of nested designs."""
         check.generator(self.seed)
-        own = self.criteria if isinstance(self.criteria, Mapping) else {}
-        if isinstance(self.criterion, str) and self.criterion in own:
-            return self.criterion, Scorer.over(own, self._domain)
-        named = CRITERIA if self.criteria is None or own else self.criteria
-        names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
-        chosen = parse(self.criterion).name
-        return chosen, Scorer.over([*names, chosen], self._domain, nested) | Scorer.over(own, self._domain)
+        chosen, names = self._names
+        return chosen, Scorer.over(names, self._domain, nested) | Scorer.over(self._own, self._domain)
 
     @cached_property
     def listed(self) -> tuple[str, Scorer]:
         """The scorer of designs that are not nested, the same for all candidates; leave-one-out is always in it."""
-        name, scorer = self._asked
-        return name, scorer if "CMPRESS" in scorer.criteria else scorer | Scorer.over(
-            ["CMPRESS"], self._domain
-        )
+        chosen, scorer = self.scorer(nested=False)
+        if "CMPRESS" in scorer.criteria:
+            return chosen, scorer
+        return chosen, scorer | Scorer.over(["CMPRESS"], self._domain)
 
     @property
     def shown(self) -> frozenset[str]:
         """Names of the criteria that were asked for."""
-        return frozenset(self._asked[1].criteria)
+        return frozenset({parse(name).name for name in self._names[1]} | self._own.keys())
+
+    @property
+    def _own(self) -> Mapping[str, Scheme]:
+        return self.criteria if isinstance(self.criteria, Mapping) else {}
 
     @cached_property
-    def _asked(self) -> tuple[str, Scorer]:
-        return self.scorer(nested=False)
+    def _names(self) -> tuple[str, list[str]]:
+        """The criterion that selects, and all criteria by name: without any scheme, which can be large."""
+        if isinstance(self.criterion, str) and self.criterion in self._own:
+            return self.criterion, []
+        named = CRITERIA if self.criteria is None or self._own else self.criteria
+        names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
+        chosen = parse(self.criterion).name
+        return chosen, [*names, chosen]
 
     @cached_property
     def _domain(self) -> Domain:
         data, threads = self.data, check.threads(self.threads)
-        queries = self.queries.points if self.queries is not None and self.queries.far else None
+        queries = self.queries.points if self.queries is not None and self.far else None
         return Domain(data.points, data.diagonal, data.domain, self.seed, threads, queries)
 
 

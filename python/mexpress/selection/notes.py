@@ -128,7 +128,7 @@ class Subject:
     def lonely(self) -> Any:
         """Which data have a residual that is large, and much larger than those of their neighbours, (n,)."""
         sizes, k = np.nan_to_num(self.studentised), _NEIGHBOURS
-        around = sizes[Places(self.data.points).nearest(k).held_out.indices.reshape(-1, k)]
+        around = sizes[Places(self.data.points).neighbours(k)]
         second, largest = np.partition(around, -2, axis=1)[:, -2:].T
         large = sizes > 5 * 1.4826 * np.median(sizes)
         return large & (sizes == largest) & (sizes > _ALONE * second)
@@ -336,7 +336,7 @@ def _ways_out(subject: Subject, stiff: str, flexible: str) -> str:
 def _stiffness(subject: Subject) -> Iterator[str]:
     if subject.exact or subject.looks_wrong:
         return
-    pairs = Places(subject.data.points).nearest(2).held_out.indices.reshape(-1, 2)
+    pairs = Places(subject.data.points).neighbours(2)
     differences = np.linalg.norm(np.subtract(*subject.residuals[pairs.T]), axis=1) / math.sqrt(2)
     size, noise = float(np.nanmedian(subject.sizes)), float(np.nanmedian(differences))
     if size > _TOO_STIFF * noise:

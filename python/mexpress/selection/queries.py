@@ -61,7 +61,7 @@ class Queries:
         if len(points) > _MOST:
             points = points[np.sort(check.generator(seed).choice(len(points), _MOST, replace=False))]
         _, away = nearest(points, data.points)
-        apart = _distances_to_next(data.points)
+        apart = Places(data.points).spacing()
         far = any(np.quantile(away, level) > _NEAR * np.quantile(apart, level) for level in (0.5, 0.9))
         return cls(points, far)
 
@@ -86,11 +86,3 @@ def _over(rectangle: tuple[float, ...], n: int) -> Floats:
     left, top, right, bottom = rectangle
     corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     return lattice(Region(corners).corners, min(max(2000, n), _MOST))
-
-
-def _distances_to_next(points: Floats) -> Floats:
-    """Return the distance of every datum to the nearest other one; none if there is only one."""
-    if len(points) < 2:
-        return np.zeros(1)
-    pairs = Places(points).nearest(2).held_out.indices.reshape(-1, 2)
-    return np.asarray(np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models.expectation import FittedModel
 from mexpress.schemes import Places
@@ -142,20 +143,19 @@ def find_wrong(
         return Suspects(np.zeros(len(data.points)), threshold, 0.0, 0.0, 0, True)
     around = Surroundings.of(data.points, threads)
     kept, steps = agreeing(data, around, seed)
-    far = beyond_gaps(data.points)
     seen: list[Mask] = []
     for _ in range(_ROUNDS):
         seen.append(kept)
         some = np.flatnonzero(kept)
         selection = select(some)
         scores, sigma = _scores(data, some, selection, around, steps, radius, threads)
-        scores[far] = np.inf
+        scores[around.far] = np.inf
         kept = ~(scores > threshold)
         if any((kept == before).all() for before in seen):
             break
     settled = bool((kept != seen[-1]).mean() <= UNSETTLED_SHARE)
     if not isinstance(data, Matches):
-        scores = _against_expectation(data, scores, far, selection, threshold)
+        scores = _against_expectation(data, scores, around.far, selection, threshold)
         kept = ~(scores > threshold)
     spread = _spread(data.values[kept] if kept.any() else data.values)
     found = Suspects(scores, threshold, sigma, spread, len(seen), settled)
@@ -191,11 +191,16 @@ class Surroundings:
         """Search the neighbours of all points."""
         n = len(points)
         k = min(_REACH + 1, n)
-        near = Places(points).nearest(k, threads).held_out.indices.reshape(n, k)
+        near = Places(points).neighbours(k, threads)
         distances = np.hypot(*np.moveaxis(points[near] - points[:, None], 2, 0))
         distances[near == np.arange(n)[:, None]] = -1.0
         order = np.argsort(distances, axis=1, kind="stable")
         return cls(points, np.take_along_axis(near, order, axis=1)[:, 1:])
+
+    @cached_property
+    def far(self) -> Mask:
+        """Which data are `beyond_gaps`, (n,)."""
+        return beyond_gaps(self.points)
 
     def kept(self, kept: Mask, most: int) -> tuple[Integers, Mask]:
         """Return the nearest kept data of each datum, (n, most), and which of these are kept at all."""
@@ -237,8 +242,8 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
     values = data.values.reshape(len(data.points), -1)
     distances = np.linalg.norm(values - np.median(values, axis=0), axis=1)
     alone = isinstance(data, Matches) | (distances > _SCENE * np.median(distances))
-    near = ~beyond_gaps(data.points)
-    alone |= ~near
+    near = ~around.far
+    alone |= around.far
     kept = near
     for _ in range(_START_ROUNDS):
         errors, slopes = _plane_errors(values, around, kept, np.random.default_rng(seed))
@@ -284,8 +289,7 @@ def _scattered(points: Floats, some: Mask) -> bool:
     Placeholders share their place, which is one.
     """
     places, first = np.unique(points, axis=0, return_index=True)
-    pairs = Places(places).nearest(2).held_out.indices.reshape(-1, 2)
-    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
+    apart = Places(places).spacing()
     return bool(np.median(apart[some[first]]) > _SCATTERED * np.median(apart[~some[first]]))
 
 
