@@ -80,15 +80,6 @@ def compress(sets: Iterable[Integers]) -> IndexSets:
     return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
 
 
-def concatenate(parts: Iterable[IndexSets]) -> IndexSets:
-    """The sets of several index sets, one after another."""
-    sets = list(parts)
-    if len(sets) == 1:
-        return sets[0]
-    sizes = np.concatenate([[0], *(part.sizes for part in sets)])
-    return IndexSets(np.cumsum(sizes, dtype=np.int64), np.concatenate([part.indices for part in sets]))
-
-
 def singletons(n: int) -> IndexSets:
     """One set for each of n indices."""
     return IndexSets(np.arange(n + 1), np.arange(n))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.index_sets import IndexSets, checked, compress, concatenate, singletons
+from mexpress.index_sets import IndexSets, checked, compress, singletons
 from mexpress.leastsquares.problem import Problem
 from mexpress.schemes import Scheme
 
@@ -255,7 +255,7 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = compress([order])
-        prediction = self._predict(sets, sets, singletons(m), None)
+        prediction = self._predict([(sets, sets)], singletons(m), None)
         if len(prediction.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return prediction.residuals[np.argsort(np.argsort(order))]
@@ -363,25 +363,23 @@ class LeastSquares:
 
     def _predict(
         self,
-        held: IndexSets,
-        validated: IndexSets,
+        schemes: Iterable[tuple[IndexSets, IndexSets]],
         coupling: IndexSets,
         threads: int | None,
         order: Integers | None = None,
     ) -> CrossValidation:
-        """Residuals of all pairs without a score; an order of the data that keeps neighbours together saves time."""
+        """Residuals of all pairs (held out, validated) without a score; an order of neighbouring data saves time."""
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(
-                held.arrays,
-                validated.arrays,
+                [(held.arrays, validated.arrays) for held, validated in schemes],
                 coupling.arrays,
                 np.zeros(0, dtype=np.int64) if order is None else order,
                 workers,
             )
         except RuntimeError as error:
             check.refuse("A", "It must not change while the model is in use.", str(error))
-        pairs = np.repeat(np.arange(len(held)), np.diff(offsets))
+        pairs = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
         flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
         return CrossValidation(np.nan, flat, rows, pairs, lost)
 
@@ -402,7 +400,7 @@ def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Inte
     """PRESS, and the rows without which the model is not determined."""
     m, weights = len(model.leverage), model._row_weights
     alone = singletons(m)
-    prediction = model._predict(alone, alone, alone, threads)
+    prediction = model._predict([(alone, alone)], alone, threads)
     total = float(m) if weights is None else float(weights.sum())
     return _root_mean(prediction.residuals, weights, total), prediction.undefined
 
@@ -415,11 +413,10 @@ def cross_validate_all(
         return {}
     for scheme in schemes.values():
         _expect_scheme(model, scheme)
-    held = concatenate(scheme.held_out for scheme in schemes.values())
-    validated = concatenate(scheme.validated for scheme in schemes.values())
+    pairs = [(scheme.held_out, scheme.validated) for scheme in schemes.values()]
     along = next((scheme for scheme in schemes.values() if scheme.order is not None), None)
     order = None if along is None else _first_validated(along)
-    together = model._predict(held, validated, model._coupling, threads, order)
+    together = model._predict(pairs, model._coupling, threads, order)
     ends = np.cumsum([len(scheme) for scheme in schemes.values()])
     starts = ends - [len(scheme) for scheme in schemes.values()]
     return {

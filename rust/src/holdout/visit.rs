@@ -64,9 +64,10 @@ impl Plan {
         pairs.check(factor.rows)?;
         let rows =
             |sets: &Sets, s: usize| sets.get(s).iter().map(|&d| pairs.rows.get(d).len()).sum::<usize>();
-        let held: Vec<usize> = (0..count).map(|s| rows(pairs.held, s)).collect();
-        let mut offsets = vec![0; count + 1];
+        let (mut held, mut offsets) = (vec![0; count], vec![0; count + 1]);
         for s in 0..count {
+            pool.proceed()?;
+            held[s] = rows(pairs.held, s);
             offsets[s + 1] = offsets[s] + rows(pairs.validated, s);
         }
         check_indices(

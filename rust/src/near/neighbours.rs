@@ -154,7 +154,7 @@ where
     if total.into_inner() > MOST_MEMBERS {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
-    Ok(joined(chunks))
+    joined(chunks, pool)
 }
 
 /// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
@@ -272,15 +272,16 @@ where
     }
 }
 
-fn joined(parts: Vec<Sets>) -> Sets {
+fn joined(parts: Vec<Sets>, pool: &Pool) -> Result<Sets, Error> {
     let mut offsets = Vec::with_capacity(1 + parts.iter().map(Sets::len).sum::<usize>());
     let mut items = Vec::with_capacity(parts.iter().map(|part| part.items.len()).sum());
     offsets.push(0);
     for part in parts {
+        pool.proceed()?;
         offsets.extend(part.offsets[1..].iter().map(|offset| items.len() + offset));
         items.extend(part.items);
     }
-    Sets { offsets, items }
+    Ok(Sets { offsets, items })
 }
 
 /// For every point as many of the nearest as asked for, itself counted, sorted by index.

@@ -20,27 +20,52 @@ pub(super) fn matrix<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>) 
         .ok_or_else(|| PyValueError::new_err("array is not contiguous"))
 }
 
+/// Numbers copied between two looks for Ctrl-C: lists of neighbourhoods have hundreds of millions.
+const COPIED_AT_ONCE: usize = 1 << 22;
+
 pub(super) fn numbers(values: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
-    let index = |&i: &i64| usize::try_from(i).map_err(|_| PyValueError::new_err("negative index"));
-    slice(values)?.iter().map(index).collect()
+    let mut copied = Vec::with_capacity(values.len());
+    append(values, &mut copied)?;
+    Ok(copied)
 }
 
-pub(super) fn sets(offsets: &PyReadonlyArray1<'_, i64>, items: &PyReadonlyArray1<'_, i64>) -> PyResult<Sets> {
-    let (offsets, items) = (numbers(offsets)?, numbers(items)?);
-    let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
-    if whole && offsets.is_sorted() {
-        Ok(Sets { offsets, items })
-    } else {
-        Err(PyValueError::new_err("offsets do not cut the items into sets"))
+fn append(values: &PyReadonlyArray1<'_, i64>, copied: &mut Vec<usize>) -> PyResult<()> {
+    for part in slice(values)?.chunks(COPIED_AT_ONCE) {
+        values.py().check_signals()?;
+        for &i in part {
+            copied.push(usize::try_from(i).map_err(|_| PyValueError::new_err("negative index"))?);
+        }
     }
+    Ok(())
 }
 
-pub(super) fn indices<'py>(py: Python<'py>, values: &[usize]) -> Array1<'py, i64> {
-    PyArray1::from_iter(py, values.iter().map(|&i| i as i64))
+pub(super) fn sets(listed: &ReadSets<'_>) -> PyResult<Sets> {
+    all_sets(&[listed])
 }
 
-pub(super) fn arrays<'py>(py: Python<'py>, sets: &Sets) -> Arrays<'py> {
-    (indices(py, &sets.offsets), indices(py, &sets.items))
+/// The sets of several lists, one list after another.
+pub(super) fn all_sets(lists: &[&ReadSets<'_>]) -> PyResult<Sets> {
+    let mut all = Sets { offsets: vec![0], items: Vec::new() };
+    all.items.reserve_exact(lists.iter().map(|(_, items)| items.len()).sum());
+    for (offsets, items) in lists {
+        let (offsets, before) = (numbers(offsets)?, all.items.len());
+        let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
+        if !(whole && offsets.is_sorted()) {
+            return Err(PyValueError::new_err("offsets do not cut the items into sets"));
+        }
+        all.offsets.extend(offsets[1..].iter().map(|offset| before + offset));
+        append(items, &mut all.items)?;
+    }
+    Ok(all)
+}
+
+pub(super) fn indices(py: Python<'_>, values: Vec<usize>) -> Array1<'_, i64> {
+    // Collected in place: no second list.
+    PyArray1::from_vec(py, values.into_iter().map(|i| i as i64).collect())
+}
+
+pub(super) fn arrays(py: Python<'_>, sets: Sets) -> Arrays<'_> {
+    (indices(py, sets.offsets), indices(py, sets.items))
 }
 
 pub(super) fn table<'py>(

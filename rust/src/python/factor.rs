@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, ReadSets, indices, numbers, sets, table};
+use super::arrays::{Array1, Array2, ReadSets, all_sets, indices, numbers, sets, table};
 use super::interrupt::interruptible;
 use super::problem::KeptArrays;
 use crate::error::Error;
@@ -96,14 +96,14 @@ impl Factor {
     fn predict<'py>(
         &self,
         py: Python<'py>,
-        held: ReadSets<'py>,
-        validated: ReadSets<'py>,
+        schemes: Vec<(ReadSets<'py>, ReadSets<'py>)>,
         rows: ReadSets<'py>,
         order: PyReadonlyArray1<'py, i64>,
         threads: usize,
     ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
-        let (held, validated, rows) =
-            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let (held, validated): (Vec<_>, Vec<_>) =
+            schemes.iter().map(|(held, validated)| (held, validated)).unzip();
+        let (held, validated, rows) = (all_sets(&held)?, all_sets(&validated)?, sets(&rows)?);
         // At worst every pair is refitted.
         let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
         let order = numbers(&order)?;
@@ -111,13 +111,13 @@ impl Factor {
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;
-        let lost = found.status.iter().enumerate().filter(|(_, s)| **s == Status::Undefined).map(|(i, _)| i);
+        let lost = (0..found.status.len()).filter(|&pair| found.status[pair] == Status::Undefined).collect();
         let count = found.rows.len();
         Ok((
             table(py, found.residuals, count, self.fit.responses)?,
-            indices(py, &found.rows),
-            indices(py, &found.offsets),
-            indices(py, &lost.collect::<Vec<_>>()),
+            indices(py, found.rows),
+            indices(py, found.offsets),
+            indices(py, lost),
         ))
     }
 
@@ -130,8 +130,7 @@ impl Factor {
         rows: ReadSets<'py>,
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
-        let (held, validated, rows) =
-            (sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?, sets(&rows.0, &rows.1)?);
+        let (held, validated, rows) = (sets(&held)?, sets(&validated)?, sets(&rows)?);
         let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
         let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
         Ok(PyArray1::from_vec(py, blocks))
@@ -144,7 +143,7 @@ impl Factor {
         rows: ReadSets<'py>,
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
-        let rows = sets(&rows.0, &rows.1)?;
+        let rows = sets(&rows)?;
         let squares: f64 = (0..rows.len()).map(|s| (rows.get(s).len() as f64).powi(2)).sum();
         let cost = squares * self.fit.rank as f64;
         let blocks = interruptible(py, cost, threads, |pool| self.fit.hat_blocks(&rows, pool))?;

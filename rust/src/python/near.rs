@@ -40,7 +40,7 @@ pub(super) fn hilbert_order<'py>(
     let dimension = points.shape()[1];
     let points = matrix(&points)?;
     let order = py.detach(|| hilbert::hilbert_order(points, dimension))?;
-    Ok(indices(py, &order))
+    Ok(indices(py, order))
 }
 
 /// Neighbourhoods of points within a radius, as (offsets, items).
@@ -56,7 +56,7 @@ pub(super) fn neighbours_within<'py>(
     let found = interruptible(py, f64::INFINITY, threads, |pool| {
         neighbours::within(points, dimension, radius, pool)
     })?;
-    Ok(arrays(py, &found))
+    Ok(arrays(py, found))
 }
 
 /// The k nearest of each point, itself counted, as (offsets, items).
@@ -71,7 +71,7 @@ pub(super) fn neighbours_nearest<'py>(
     let points = matrix(&points)?;
     let found =
         interruptible(py, f64::INFINITY, threads, |pool| neighbours::nearest(points, dimension, k, pool))?;
-    Ok(arrays(py, &found))
+    Ok(arrays(py, found))
 }
 
 /// Neighbourhoods that leave every point as far from its nearest as queries are from theirs, as (offsets, items).
@@ -88,7 +88,7 @@ pub(super) fn neighbours_matched<'py>(
     let found = interruptible(py, f64::INFINITY, threads, |pool| {
         distance_matching::matched(points, queries, dimension, most, pool)
     })?;
-    Ok(arrays(py, &found))
+    Ok(arrays(py, found))
 }
 
 /// Each point with its neighbours in the Delaunay triangulation, as (offsets, items).
@@ -99,5 +99,5 @@ pub(super) fn neighbours_delaunay<'py>(
 ) -> PyResult<Arrays<'py>> {
     let points = matrix(&points)?;
     let found = interruptible(py, f64::INFINITY, 1, |pool| delaunay::delaunay(points, pool))?;
-    Ok(arrays(py, &found))
+    Ok(arrays(py, found))
 }

@@ -80,7 +80,7 @@ impl Nested {
             .collect::<PyResult<Vec<_>>>()?;
         let schemes: Vec<nested::Scheme<'_>> =
             lists.iter().map(|(listing, order)| listing.scheme(order)).collect();
-        let (rows, sizes) = (sets(&rows.0, &rows.1)?, numbers(&sizes)?);
+        let (rows, sizes) = (sets(&rows)?, numbers(&sizes)?);
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found = interruptible(py, f64::INFINITY, threads, |pool| {
@@ -88,7 +88,7 @@ impl Nested {
         })?;
         Ok(found
             .into_iter()
-            .map(|curve| (PyArray1::from_vec(py, curve.squares), indices(py, &curve.defined)))
+            .map(|curve| (PyArray1::from_vec(py, curve.squares), indices(py, curve.defined)))
             .collect())
     }
 }
@@ -109,9 +109,7 @@ enum Listing<'a> {
 impl HeldOut<'_> {
     fn read(&self) -> PyResult<Listing<'_>> {
         match self {
-            Self::Listed(held, validated) => {
-                Ok(Listing::Sets(sets(&held.0, &held.1)?, sets(&validated.0, &validated.1)?))
-            }
+            Self::Listed(held, validated) => Ok(Listing::Sets(sets(held)?, sets(validated)?)),
             Self::Lazy(lazy) => Ok(Listing::Lazy(&lazy.0)),
         }
     }

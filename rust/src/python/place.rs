@@ -36,7 +36,7 @@ pub(super) fn spread<'py>(
     let cost = (samples.shape()[0] * draws.shape()[0]) as f64;
     let (samples, draws) = (matrix(&samples)?, slice(&draws)?);
     let drawn = interruptible(py, cost, 1, |pool| place::lloyd::spread(samples, draws, pool))?;
-    Ok(indices(py, &drawn))
+    Ok(indices(py, drawn))
 }
 
 /// The data that become control points, in the order of their arrival.
@@ -56,5 +56,5 @@ pub(super) fn place_by_residual<'py>(
     let chosen = interruptible(py, cost, threads, |pool| {
         by_residual::place_by_residual(points, values, first, max_count, min_distance, pool)
     })?;
-    Ok(indices(py, &chosen))
+    Ok(indices(py, chosen))
 }
