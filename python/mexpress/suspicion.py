@@ -129,7 +129,7 @@ class Suspects:
         return np.asarray(np.maximum((1 - part**2) ** 2, LEFT_OUT))
 
 
-def studentised_squares(
+def studentised_lengths(
     model: LeastSquares, scheme: Scheme, weights: Floats, threads: int | None = None
 ) -> tuple[Floats, Integers]:
     """Squared prediction residuals of every datum, relative to their covariance under noise of variance one.
@@ -147,9 +147,9 @@ def studentised_squares(
 
     Returns
     -------
-    squares : (n,) array
-        ``e^T C^-1 e`` with ``C = I + Q_T M^-1 Q_T^T``, summed over the responses; NaN where undefined. Divided
-        by the variance of the noise, it has a chi-square distribution.
+    lengths : (n,) array
+        ``(e^T C^-1 e)^(1/2)`` with ``C = I + Q_T M^-1 Q_T^T``, summed over the responses; NaN where undefined. Their
+        squares divided by the variance of the noise have a chi-square distribution.
     freedom : (n,) int array
         Its degrees of freedom: rows times responses of the datum.
 
@@ -158,21 +158,36 @@ def studentised_squares(
     >>> import mexpress as mx
     >>> import numpy as np
     >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
-    >>> squares, freedom = studentised_squares(model, mx.schemes.leave_one_out(3), np.ones(3))
-    >>> squares.round(3), freedom
+    >>> lengths, freedom = studentised_lengths(model, mx.schemes.leave_one_out(3), np.ones(3))
+    >>> (lengths**2).round(3), freedom
     (array([ 6. ,  1.5, 13.5]), array([1, 1, 1]))
     """
     cv = cross_validate_all(model, {"": scheme}, threads)[""]
     residuals = cv.residuals.reshape(len(cv.rows), -1)
     starts = np.searchsorted(cv.pairs, np.arange(len(scheme) + 1))
-    squares, freedom = np.empty(len(scheme)), np.empty(len(scheme), dtype=np.int64)
+    lengths, freedom = np.empty(len(scheme)), np.empty(len(scheme), dtype=np.int64)
     for pair, spread in enumerate(model.prediction_spread(scheme, threads)):
         datum, e = scheme.validated.indices[pair], residuals[starts[pair] : starts[pair + 1]]
         one = np.eye(len(e))
         # prediction_spread is the covariance of weighted residuals.
-        squares[datum] = (e * np.linalg.solve(one + (spread - one) / weights[datum], e)).sum()
+        unit = np.abs(e).max(initial=0.0) or 1.0  # squares of finite residuals need not be
+        e = e / unit
+        lengths[datum] = unit * np.sqrt((e * np.linalg.solve(one + (spread - one) / weights[datum], e)).sum())
         freedom[datum] = e.size
-    return squares, freedom
+    return lengths, freedom
+
+
+def deviation(values: Floats) -> float:
+    """Return the root mean square deviation of values from their mean.
+
+    Examples
+    --------
+    >>> deviation(np.array([1e300, 3e300]))
+    1e+300
+    """
+    unit = np.abs(values).max(initial=0.0) or 1.0
+    scaled = values / unit
+    return float(unit * np.sqrt(((scaled - scaled.mean(axis=0)) ** 2).mean()))
 
 
 def suspects(
@@ -243,7 +258,7 @@ def suspects(
     """
     n = _each_once(scheme).n_data
     measured = check.columns(values, "values", n)
-    spread = float(np.sqrt(((measured - measured.mean(axis=0)) ** 2).mean()))
+    spread = deviation(measured)
     limit = check.positive(threshold, "threshold")
     most = check.count(max_rounds, "max_rounds", 1)
     sigma, rounds = math.nan, 0
@@ -251,10 +266,10 @@ def suspects(
     def score(weights: Floats) -> Floats:
         nonlocal sigma, rounds
         rounds += 1
-        squares, freedom = studentised_squares(_model(build, weights), scheme, weights, threads)
+        lengths, freedom = studentised_lengths(_model(build, weights), scheme, weights, threads)
         # Residuals from rounding, or from the influence of data with weight LEFT_OUT, must not be suspicious.
-        sigma = max(_robust_scale(squares, freedom), ROUNDING * spread)
-        return np.asarray(np.sqrt(squares / freedom) / (sigma or 1.0))
+        sigma = max(_robust_scale(lengths, freedom), ROUNDING * spread)
+        return np.asarray(lengths / np.sqrt(freedom) / (sigma or 1.0))
 
     first = math.ceil(KEPT_AT_FIRST * n)
     scores, _ = _settle(score, np.ones(n), lambda scores: _best(scores, first), most)
@@ -292,13 +307,13 @@ def _best(scores: Floats, count: int) -> Any:
     return kept
 
 
-def _robust_scale(squares: Floats, freedom: Integers) -> float:
-    """Sigma from the median of the squares over the medians of their chi squares."""
-    known = np.isfinite(squares)
+def _robust_scale(lengths: Floats, freedom: Integers) -> float:
+    """Sigma from the median of the lengths over the roots of the medians of their chi squares."""
+    known = np.isfinite(lengths)
     if not known.any():
         rule = "Its models must be determined by all data but those around one."
         check.refuse("build", rule, "one that predicts no datum")
-    return float(np.sqrt(np.median(squares[known] / chi_square_quantile(0.5, freedom[known]))))
+    return float(np.median(lengths[known] / np.sqrt(chi_square_quantile(0.5, freedom[known]))))
 
 
 def chi_square_quantile(share: float, freedom: int | Integers) -> Any:

@@ -5,7 +5,7 @@ import pytest
 
 import mexpress as mx
 from mexpress.criteria import Scorer
-from mexpress.suspicion import LEFT_OUT, Suspects, SuspicionWarning, studentised_squares, suspects
+from mexpress.suspicion import LEFT_OUT, Suspects, SuspicionWarning, studentised_lengths, suspects
 
 rng = np.random.default_rng(0)
 POINTS = rng.uniform(size=(40, 2))
@@ -88,7 +88,8 @@ def test_squares_are_those_of_refits_whether_a_datum_counts_or_not(responses, pe
     weights = np.where(np.arange(40) % 4 == 1, LEFT_OUT, 1.0)
     model = mx.LeastSquares(DESIGN, b, 2, weights, penalty)
     scheme, rows = balls(POINTS, 0.3), by_coupling(2)
-    squares, freedom = studentised_squares(model, scheme, weights)
+    lengths, freedom = studentised_lengths(model, scheme, weights)
+    squares = lengths**2
     assert (freedom == 2 * math.prod(responses)).all()
     for datum, held in enumerate(scheme.held_out):
         training = [k for k in range(40) if k not in held and weights[k] == 1]

@@ -29,7 +29,8 @@ from mexpress.suspicion import (
     Suspects,
     SuspicionWarning,
     chi_square_quantile,
-    studentised_squares,
+    deviation,
+    studentised_lengths,
 )
 
 Mask = NDArray[np.bool_]
@@ -157,7 +158,7 @@ def find_wrong(
     if not isinstance(data, Matches):
         scores = _against_expectation(data, scores, around.far, selection, threshold)
         kept = ~(scores > threshold)
-    spread = _spread(data.values[kept] if kept.any() else data.values)
+    spread = deviation(data.values[kept] if kept.any() else data.values)
     found = Suspects(scores, threshold, sigma, spread, len(seen), settled)
     if len(found.indices) and found.doubtful:
         warnings.warn(SuspicionWarning(found.doubt), stacklevel=2)
@@ -249,7 +250,7 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
         errors, slopes = _plane_errors(values, around, kept, np.random.default_rng(seed))
         steps = np.where(alone, np.inf, around.steps(values, slopes))
         errors = np.minimum(errors, steps)
-        level = max(float(np.median(errors[kept])), ROUNDING * _spread(values[kept]))
+        level = max(float(np.median(errors[kept])), ROUNDING * deviation(values[kept]))
         now = near & (errors <= _START * np.maximum(around.quantile(errors, kept, 0.5, _NEIGHBOURS), level))
         if (now == kept).all() or 2 * now.sum() < len(now):
             break
@@ -361,19 +362,19 @@ def _scores(
     n = len(data.points)
     fit, scheme = selection.least_squares(threads=threads), Places(data.points[some]).within(radius, threads)
     weights = np.ones(len(some)) if selection.data.weights is None else selection.data.weights
-    squares, freedom = studentised_squares(fit, scheme, weights, threads)
+    lengths, freedom = studentised_lengths(fit, scheme, weights, threads)
     kept = np.zeros(n, dtype=np.bool_)
     kept[some] = True
     errors = np.empty(n)
-    errors[some] = np.sqrt(squares / freedom)
+    errors[some] = lengths / np.sqrt(freedom)
     if not kept.all():
         away = (selection._model(data.points[~kept]) - data.values[~kept]).reshape(n - len(some), -1)
         # NaN is beyond the horizon of a warp.
-        errors[~kept] = np.nan_to_num(np.sqrt((away**2).mean(axis=1)), nan=np.inf)
+        errors[~kept] = np.nan_to_num(np.hypot.reduce(away, axis=1) / np.sqrt(away.shape[1]), nan=np.inf)
     known = kept & np.isfinite(errors)
     per_row = int(freedom[0])
     noise = float(np.median(errors[known])) / _noise(0.5, per_row)
-    sigma = max(noise, ROUNDING * _spread(data.values[some]))
+    sigma = max(noise, ROUNDING * deviation(data.values[some]))
     nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / _noise(_QUARTILE, per_row)
     scale = np.where(kept, np.maximum(nearby, sigma), sigma) if sigma else 1.0
     return np.minimum(errors, steps) / scale, sigma
@@ -398,11 +399,6 @@ def _against_expectation(
         relative = np.nan_to_num(away / selection._model.error(points), nan=np.inf)
     lenient[doubted] = np.minimum(scores[doubted], threshold / _EXPECTED * relative)
     return lenient
-
-
-def _spread(values: Floats) -> float:
-    """Root mean square deviation of values from their mean."""
-    return float(np.sqrt(((values - values.mean(axis=0)) ** 2).mean()))
 
 
 def _noise(share: float, freedom: int) -> float:
