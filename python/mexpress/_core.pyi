@@ -40,6 +40,7 @@ class Factor:
         penalty: _Floats,
         threads: int,
         root_weights: _Floats | None = None,
+        source: tuple[_Floats, _Floats] | None = None,
     ) -> Factor: ...
     @property
     def rank(self) -> int: ...

@@ -43,7 +43,7 @@ pub enum Error {
     },
     /// The problem is not the one that was factored.
     Changed {
-        /// A row whose residual is no longer what it was.
+        /// A row that is no longer what it was.
         row: usize,
     },
     /// Three points that must span a triangle are on a line.

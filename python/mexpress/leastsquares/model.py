@@ -160,13 +160,17 @@ class LeastSquares:
         penalty: Floats,
         threads: int | None = None,
         weights: Floats | None = None,
+        source: tuple[Floats, Floats] | None = None,
     ) -> LeastSquares:
-        """Fit a design whose weighted columns, stacked on the penalty rows, are orthonormal: skip the factorisation."""
+        """Fit a design whose weighted columns, stacked on the penalty rows, are orthonormal: skip the factorisation.
+
+        They are so to rounding; predictions close to rank loss go back to the design and penalty they came from.
+        """
         model = object.__new__(cls)
         problem = Problem.of(Q, b, coupling, weights, penalty)
         design, responses, roots, rows = problem.arrays
         workers = check.threads(threads)
-        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, workers, roots))
+        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, workers, roots, source))
         return model
 
     @classmethod

@@ -60,7 +60,7 @@ class PenaltyPath:
         # Fits depend on the ratio of weights to the penalty's; with a largest weight of one, the core scales neither.
         self._largest = 1.0 if weights is None else float(weights.max())
         weights = None if weights is None else weights / self._largest
-        self._problem = A, b, coupling, Z, weights
+        self._problem = np.ascontiguousarray(A), b, coupling, np.ascontiguousarray(Z), weights
         self._roots = None if weights is None else np.repeat(np.sqrt(weights), coupling)[:, None]
         size = np.linalg.norm(Z)
         rows = A if self._roots is None else self._roots * A
@@ -91,5 +91,7 @@ class PenaltyPath:
         basis, rest = self._left * (self._cosines / lengths), np.diag(sines / lengths)
         if self._roots is not None:
             basis /= self._roots
-        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads, weights)
+        # With fewer rows than unknowns the basis has other columns than the design.
+        source = (A, np.sqrt(weight) * Z) if basis.shape[1] == A.shape[1] else None
+        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads, weights, source)
         return FittedAt(model, np.asarray((self._back / lengths) @ model.coefficients))

@@ -35,6 +35,48 @@ impl Problem<'_> {
         }
     }
 
+    /// Responses of row `i`; none of a penalty row.
+    fn responses_of(&self, i: usize, count: usize) -> &[f64] {
+        self.responses.get(i * count..(i + 1) * count).unwrap_or_default()
+    }
+
+    /// A number that changes with any digit of row `i`.
+    fn fingerprint(&self, i: usize, responses: usize) -> u64 {
+        let (row, weight) = self.row(i);
+        let mix = |sum: u64, x: &f64| (sum.rotate_left(7) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        self.responses_of(i, responses).iter().chain(row).fold(weight.to_bits(), mix)
+    }
+
+    fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
+        let responses = self.responses.len() / self.rows;
+        let mut all = vec![0; self.rows + self.penalty.len() / self.columns];
+        let parts = all.chunks_mut(LEAF_ROWS).enumerate();
+        pool.run(
+            parts,
+            || (),
+            |(), (part, prints)| {
+                for (k, print) in prints.iter_mut().enumerate() {
+                    *print = self.fingerprint(part * LEAF_ROWS + k, responses);
+                }
+            },
+        )?;
+        Ok(all)
+    }
+
+    /// What brings the columns of `[W^1/2 A; Z]` to unit length.
+    fn unit_scales(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let powers = column_scales(self, pool)?;
+        let mut squares = vec![0.0; self.columns];
+        for i in 0..self.rows + self.penalty.len() / self.columns {
+            let (row, weight) = self.row(i);
+            for ((square, a), power) in squares.iter_mut().zip(row).zip(&powers) {
+                *square += (a * power * weight).powi(2);
+            }
+        }
+        let unit = |(power, square): (f64, f64)| if square > 0.0 { power / square.sqrt() } else { power };
+        Ok(powers.into_iter().zip(squares).map(unit).collect())
+    }
+
     fn check(&self) -> Result<usize, Error> {
         if self.rows.min(self.columns) == 0 {
             return Err(Error::Length { expected: 1, given: 0 });
@@ -68,12 +110,14 @@ pub struct Factor {
     pub(crate) least: f64,
     /// Below this, relative to the largest, a singular value is rounding.
     pub(crate) tolerance: f64,
-    /// What brings columns to unit length.
+    /// What brings columns of the problem to unit length.
     pub(crate) scales: Vec<f64>,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
-    /// The largest weighted response in size.
-    largest_response: f64,
+    /// Columns of the design that span them all, if some depend on the others.
+    spanning: Option<Vec<usize>>,
+    /// What each row of the problem was, to notice that it has changed.
+    fingerprints: Vec<u64>,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
     pub(crate) residuals: Vec<f64>,
     /// `Q^T b` of the weighted responses, responses x rank.
@@ -101,13 +145,20 @@ impl Factor {
         factor.tolerance = top.tolerance;
         factor.triangle = top.triangle;
         factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
+        if factor.rank < factor.columns {
+            factor.spanning = Some(factor.spanning_columns());
+        }
         Ok(factor)
     }
 
-    /// Fits a problem of which the columns of `[W^1/2 A; Z]` are orthonormal already.
-    pub fn orthonormal(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+    /// Fits a problem of which the columns of `[W^1/2 A; Z]` are orthonormal already. They are so to rounding, which rows
+    /// of zeros lose: pairs close to rank loss go back to `source`, a problem with the same responses, weights and span.
+    pub fn orthonormal(problem: &Problem<'_>, source: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         problem.check()?;
+        source.check()?;
         let columns = problem.columns;
+        expect_length(source.columns, columns)?;
+        expect_length(source.rows, problem.rows)?;
         let mut basis = [problem.design, problem.penalty].concat();
         if let Some(weights) = problem.root_weights {
             for (row, w) in basis.chunks_exact_mut(columns).zip(weights) {
@@ -118,7 +169,8 @@ impl Factor {
         factor.coefficients.clone_from(&factor.projection);
         factor.triangle.resize(columns * columns, 0.0);
         factor.triangle.iter_mut().step_by(columns + 1).for_each(|diagonal| *diagonal = 1.0);
-        factor.scales.resize(columns, 1.0);
+        factor.scales = source.unit_scales(pool)?;
+        factor.fingerprints = source.fingerprints(pool)?;
         factor.least = 1.0;
         factor.tolerance = factor.total_rows.max(columns) as f64 * f64::EPSILON;
         Ok(factor)
@@ -140,13 +192,13 @@ impl Factor {
             tolerance: 0.0,
             scales: Vec::new(),
             coefficients: Vec::new(),
-            largest_response: 0.0,
+            spanning: None,
+            fingerprints: problem.fingerprints(pool)?,
             residuals: weighted_responses(problem, responses),
             leverage: Vec::new(),
             projection: Vec::new(),
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         };
-        factor.largest_response = factor.residuals.iter().fold(0.0, |largest, b| f64::max(largest, b.abs()));
         factor.projection = factor.project(&factor.residuals, pool)?;
         factor.subtract(&factor.projection.clone(), pool)?;
         // Once more: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
@@ -157,6 +209,15 @@ impl Factor {
             factor.basis.chunks_exact(factor.rank.max(1)).take(rows).map(|q| dot(q, q)).collect();
         factor.leverage.resize(rows, 0.0);
         Ok(factor)
+    }
+
+    /// The lambda_min(M) from which the closed form holds, M of a pair being `I - Q_K^T Q_K`: its error is about
+    /// eps / lambda_min(M), of which nine digits are left at 2e-6. The training rows' least singular value is at least that
+    /// of all rows times the root of lambda_min(M), so the rank of a design near rank loss asks for more. Estimates of
+    /// lambda_min(M) may be ten times too large.
+    pub(crate) fn closed_form_least(&self) -> f64 {
+        let beyond_doubt = 2.0 * self.tolerance * (self.columns as f64).sqrt() / self.least;
+        if self.rank == 0 { 2e-6 } else { f64::max(2e-6, 10.0 * beyond_doubt * beyond_doubt) }
     }
 
     /// Row `i` of the basis.
@@ -177,30 +238,35 @@ impl Factor {
         i: usize,
         out: &mut [f64],
     ) -> Result<(), Error> {
+        if problem.fingerprint(i, self.responses) != self.fingerprints[i] {
+            return Err(Error::Changed { row: i });
+        }
         let (left, right) = out.split_at_mut(self.rank);
-        if self.rank < self.columns {
-            left.copy_from_slice(self.basis_row(i));
-            right.copy_from_slice(self.residual_row(i));
-            return Ok(());
-        }
         let (row, weight) = problem.row(i);
-        for ((x, a), scale) in left.iter_mut().zip(row).zip(&self.scales) {
-            *x = a * scale * weight;
-        }
-        for (c, x) in right.iter_mut().enumerate() {
-            *x = problem.responses.get(i * self.responses + c).map_or(0.0, |b| b * weight);
-            let coefficients = &self.coefficients[c * self.columns..(c + 1) * self.columns];
-            let (fit, size) = row.iter().zip(coefficients).fold((0.0, 0.0), |(sum, size), (a, z)| {
-                let term = a * z * weight;
-                (sum + term, size + f64::abs(term))
-            });
-            let now = *x - fit;
-            // Residuals are good to rounding of the largest response, which a row of zeros must not be blamed for.
-            if f64::abs(now - self.residual_row(i)[c]) > 1e-6 * (size + x.abs() + self.largest_response) {
-                return Err(Error::Changed { row: i });
+        match &self.spanning {
+            None => {
+                for ((x, a), scale) in left.iter_mut().zip(row).zip(&self.scales) {
+                    *x = a * scale * weight;
+                }
+            }
+            Some(columns) => {
+                for (x, &j) in left.iter_mut().zip(columns) {
+                    *x = row[j] * self.scales[j] * weight;
+                }
             }
         }
+        for (x, b) in right.iter_mut().zip(problem.responses_of(i, self.responses)) {
+            *x = b * weight;
+        }
+        if i >= self.rows {
+            right.fill(0.0);
+        }
         Ok(())
+    }
+
+    /// Rows of the problem that pairs close to rank loss go back to.
+    pub(crate) fn problem_rows(&self) -> usize {
+        self.fingerprints.len()
     }
 
     /// What brings row `i` back from weighted to plain units.
@@ -269,6 +335,30 @@ impl Factor {
                 None => return Ok(kept),
             }
         }
+    }
+
+    /// As many columns as the rank that span all columns, the largest remainder first.
+    fn spanning_columns(&self) -> Vec<usize> {
+        let rank = self.rank;
+        let mut rest = self.triangle.clone();
+        let mut kept = Vec::with_capacity(rank);
+        for _ in 0..rank {
+            let square = |j: usize| dot(&rest[j * rank..(j + 1) * rank], &rest[j * rank..(j + 1) * rank]);
+            let next = (0..self.columns)
+                .filter(|j| !kept.contains(j))
+                .max_by(|&a, &b| square(a).total_cmp(&square(b)));
+            let Some(next) = next else { break };
+            let length = square(next).sqrt();
+            let direction: Vec<f64> =
+                rest[next * rank..(next + 1) * rank].iter().map(|x| x / length).collect();
+            for column in rest.chunks_exact_mut(rank) {
+                let along = dot(&direction, column);
+                column.iter_mut().zip(&direction).for_each(|(x, d)| *x -= along * d);
+            }
+            kept.push(next);
+        }
+        kept.sort_unstable();
+        kept
     }
 
     /// Takes `Q projection` from the residuals.

@@ -10,6 +10,7 @@
 //! `z = L^-1 1_T`, of which `e_(T) = z^T y`. All criteria of a sweep then cost what the widest of them does.
 
 use std::slice;
+use std::sync::OnceLock;
 
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem, expect_length};
@@ -17,13 +18,10 @@ use crate::fit::linalg::dot;
 use crate::holdout::kernel::Bordered;
 use crate::holdout::probes::{PROBES, least_eigenvalue};
 use crate::holdout::rescue::refine::{Inverse, NearSingular};
+use crate::holdout::rescue::refit::Refit;
 use crate::holdout::visit::{Hat, Plan, Slot, costs};
 use crate::pool::Pool;
 use crate::sets::Sets;
-
-/// Below this estimate of lambda_min(M) the closed form no longer has nine digits: its error is about
-/// eps / lambda_min(M).
-pub(super) const CLOSED_FORM_MIN_EIGENVALUE: f64 = 2e-6;
 
 /// Which data each pair holds out and validates, and the rows of every datum.
 pub struct Pairs<'a> {
@@ -109,21 +107,31 @@ impl Factor {
 
     /// What the prediction residuals of each pair's validated rows vary by, in units of the noise of weighted rows:
     /// `((I - H_KK)^-1)_TT`, row-major, pair after pair; NaN where the training rows lose rank.
-    pub fn spread(&self, pairs: &Pairs<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    pub fn spread(
+        &self,
+        problem: &Problem<'_>,
+        pairs: &Pairs<'_>,
+        pool: &Pool<'_>,
+    ) -> Result<Vec<f64>, Error> {
         pairs.check(self.rows)?;
         let rows_of = |pair| pairs.validated.get(pair).iter().map(|&datum| pairs.rows.get(datum).len());
         let sizes: Vec<usize> =
             (0..pairs.held.len()).map(|pair| rows_of(pair).sum::<usize>().pow(2)).collect();
         let mut blocks = vec![0.0; sizes.iter().sum()];
+        let failure = OnceLock::new();
         pool.run(
             cut(&mut blocks, &sizes).into_iter().enumerate(),
-            Workspace::default,
-            |workspace, (pair, block)| {
+            || (Workspace::default(), Refit::default()),
+            |(workspace, refit), (pair, block)| {
                 workspace.list_rows(pairs, &[pair]);
-                workspace.spread(self, block);
+                if !workspace.spread(self, block) {
+                    let kept = (&workspace.rows[..], workspace.validated);
+                    let _ =
+                        refit.spread(self, problem, pool, kept, block).map_err(|error| failure.set(error));
+                }
             },
         )?;
-        Ok(blocks)
+        failure.into_inner().map_or(Ok(blocks), Err)
     }
 
     /// The blocks `H_KK` of the hat matrix for sets of rows: each row-major, one after another.
@@ -236,7 +244,7 @@ impl Workspace {
 
     /// Accepts the solution, unless the pair is too close to rank loss.
     pub(super) fn accept(&self, factor: &Factor, least: f64, slot: &mut Slot<'_>) {
-        if least >= CLOSED_FORM_MIN_EIGENVALUE {
+        if least >= factor.closed_form_least() {
             unweight(factor, &self.rows[..self.validated], slot.residuals);
             *slot.status = Some(Status::Closed);
         }
@@ -262,19 +270,19 @@ impl Workspace {
         NearSingular { inverse, least, rows, validated: *validated, out }
     }
 
-    /// `((I - H_KK)^-1)_TT` of the pair at hand: in the dual of unit vectors, in the primal `I + Q_T M^-1 Q_T^T`.
-    fn spread(&mut self, factor: &Factor, out: &mut [f64]) {
+    /// `((I - H_KK)^-1)_TT` of the pair at hand: in the dual of unit vectors, in the primal `I + Q_T M^-1 Q_T^T`. False
+    /// if the pair is too close to rank loss.
+    fn spread(&mut self, factor: &Factor, out: &mut [f64]) -> bool {
         let (q, t) = (self.rows.len(), self.validated);
         let (dual, primal) = costs(q, factor.rank, false);
-        let (own, smallest) = if dual <= primal {
+        let (own, least) = if dual <= primal {
             self.fill_dual(factor, None, q, t);
-            (0.0, self.system.factor())
+            (0.0, least_eigenvalue(&mut self.system, q, factor.responses))
         } else {
             (1.0, self.primal_factor(factor, &(0..t)))
         };
-        if smallest <= 0.0 || factor.rank + q > factor.total_rows {
-            out.fill(f64::NAN);
-            return;
+        if least < factor.closed_form_least() || factor.rank + q > factor.total_rows {
+            return false;
         }
         let first = factor.responses + PROBES;
         for i in 0..t {
@@ -284,6 +292,7 @@ impl Workspace {
                 (out[i * t + j], out[j * t + i]) = (c, c);
             }
         }
+        true
     }
 }
 

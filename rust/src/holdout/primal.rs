@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
-use crate::holdout::pairs::{CLOSED_FORM_MIN_EIGENVALUE, Workspace};
+use crate::holdout::pairs::Workspace;
 use crate::holdout::probes::{PROBES, least_eigenvalue, set_probes};
 use crate::holdout::visit::MOST_CARRIED;
 
@@ -28,7 +28,7 @@ impl Workspace {
         let validated = 0..self.validated;
         let carry = validated.len() <= MOST_CARRIED;
         let least = self.primal_factor(factor, if carry { &validated } else { &(0..0) });
-        if least < CLOSED_FORM_MIN_EIGENVALUE {
+        if least < factor.closed_form_least() {
             return least;
         }
         for c in 0..responses {

@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Array1, Array2, ReadSets, all_sets, indices, numbers, sets, table};
 use super::interrupt::interruptible;
-use super::problem::KeptArrays;
+use super::problem::{KeptArrays, ProblemArrays};
 use crate::error::Error;
 use crate::fit::factor::{self, Problem};
 use crate::holdout::pairs::{Pairs, Status};
@@ -54,9 +54,10 @@ impl Factor {
         Self::build(py, arrays, threads, factor::Factor::new)
     }
 
-    /// Of a weighted design and penalty rows that have orthonormal columns together.
+    /// Of a weighted design and penalty rows that have orthonormal columns together; pairs close to rank loss go back to
+    /// the (design, penalty) that these came from, if given.
     #[staticmethod]
-    #[pyo3(signature = (design, responses, penalty, threads, root_weights=None))]
+    #[pyo3(signature = (design, responses, penalty, threads, root_weights=None, source=None))]
     fn orthonormal<'py>(
         py: Python<'py>,
         design: Array2<'py, f64>,
@@ -64,10 +65,20 @@ impl Factor {
         penalty: Array2<'py, f64>,
         threads: usize,
         root_weights: Option<Array1<'py, f64>>,
+        source: Option<(Array2<'py, f64>, Array2<'py, f64>)>,
     ) -> PyResult<Self> {
-        let (design, responses, penalty) = (design.unbind(), responses.unbind(), penalty.unbind());
-        let arrays = KeptArrays { design, responses, root_weights: root_weights.map(Bound::unbind), penalty };
-        Self::build(py, arrays, threads, factor::Factor::orthonormal)
+        let basis = ProblemArrays::new(&design, &responses, root_weights.as_ref(), &penalty)?;
+        let orthonormal = basis.problem()?;
+        let (design, penalty) = source.unwrap_or_else(|| (design.clone(), penalty.clone()));
+        let arrays = KeptArrays {
+            design: design.unbind(),
+            responses: responses.unbind(),
+            root_weights: root_weights.map(Bound::unbind),
+            penalty: penalty.unbind(),
+        };
+        Self::build(py, arrays, threads, |source, pool| {
+            factor::Factor::orthonormal(&orthonormal, source, pool)
+        })
     }
 
     #[getter]
@@ -132,7 +143,10 @@ impl Factor {
     ) -> PyResult<Array1<'py, f64>> {
         let (held, validated, rows) = (sets(&held)?, sets(&validated)?, sets(&rows)?);
         let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
-        let blocks = interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&pairs, pool))?;
+        let arrays = self.arrays.borrow(py)?;
+        let problem = arrays.problem()?;
+        let blocks =
+            interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&problem, &pairs, pool))?;
         Ok(PyArray1::from_vec(py, blocks))
     }
 

@@ -35,7 +35,7 @@ use crate::error::Error;
 use crate::fit::factor::{self, Factor, Problem, expect_length};
 use crate::fit::linalg;
 use crate::holdout::pairs::check_indices;
-use crate::holdout::rescue::double_double::{self, DdMatrix};
+use crate::holdout::rescue::double_double::DdGram;
 use crate::near::neighbours::LazyNeighbourhoods;
 use crate::pool::Pool;
 use crate::sets::Sets;
@@ -113,7 +113,7 @@ pub struct Nested {
     reduced: Option<(Vec<f64>, Vec<f64>)>,
     /// Weighted responses, rows x responses.
     right: Vec<f64>,
-    basis_gram: OnceLock<DdMatrix>,
+    whole_gram: OnceLock<DdGram>,
 }
 
 impl Nested {
@@ -131,7 +131,7 @@ impl Nested {
         }
         kept.truncate(factor.rank);
         let right = factor::weighted_responses(problem, factor.responses);
-        Ok(Self { factor, kept, reduced, right, basis_gram: OnceLock::new() })
+        Ok(Self { factor, kept, reduced, right, whole_gram: OnceLock::new() })
     }
 
     /// How many of the independent columns are among the first ones of the design.
@@ -240,12 +240,13 @@ impl Nested {
         Ok(found)
     }
 
-    /// `Q^T Q` in twice the digits, once some pair needs it.
-    fn basis_gram(&self, pool: &Pool<'_>) -> Result<&DdMatrix, Error> {
-        if self.basis_gram.get().is_none() {
-            drop(self.basis_gram.set(double_double::gram(&self.factor.basis, self.factor.rank, pool)?));
+    /// `Q^T Q` and `Q^T b` in twice the digits, once some pair needs them.
+    fn whole_gram(&self, pool: &Pool<'_>) -> Result<&DdGram, Error> {
+        if self.whole_gram.get().is_none() {
+            let Factor { basis, rank, responses, .. } = &self.factor;
+            drop(self.whole_gram.set(DdGram::whole(basis, *rank, &self.right, *responses, pool)?));
         }
-        self.basis_gram.get().ok_or(Error::Interrupted)
+        self.whole_gram.get().ok_or(Error::Interrupted)
     }
 
     fn right_row(&self, i: usize) -> &[f64] {

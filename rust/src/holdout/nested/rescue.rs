@@ -8,7 +8,7 @@ use crate::error::Error;
 use crate::fit::factor::Problem;
 use crate::fit::linalg::dot;
 use crate::holdout::probes::sign;
-use crate::holdout::rescue::double_double::{DdFactor, DdGram, DdMatrix};
+use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
 use crate::pool::Pool;
 
@@ -31,14 +31,13 @@ impl Sweep<'_> {
             return Ok(());
         }
         steps.sort_unstable();
-        let factor = &self.nested.factor;
-        let basis_gram = self.nested.basis_gram(pool)?;
+        let whole = self.nested.whole_gram(pool)?;
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let failure = OnceLock::new();
         let workspace = || Rescue {
             sweep: self,
             problem: self.nested.independent(problem),
-            basis_gram,
+            whole,
             plain: Workspace::new(self),
             last: LastPair::default(),
             factor: DdFactor::default(),
@@ -47,7 +46,7 @@ impl Sweep<'_> {
         let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
         pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
             rescue.last.clear(self.rows.len());
-            rescue.last.gram.start(basis_gram, factor.rank, factor.responses);
+            rescue.last.gram.copy_from(whole);
             for (&(s, step), result) in steps.iter().zip(results) {
                 match rescue.solve((s, self.schemes[s].order[step]), pool) {
                     Ok(defined) => *result = (rescue.plain.curve.clone(), defined),
@@ -70,7 +69,7 @@ impl Sweep<'_> {
 struct Rescue<'a> {
     sweep: &'a Sweep<'a>,
     problem: Problem<'a>,
-    basis_gram: &'a DdMatrix,
+    whole: &'a DdGram,
     plain: Workspace,
     last: LastPair<DdGram>,
     factor: DdFactor,
@@ -106,12 +105,12 @@ impl Rescue<'_> {
         let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
         let forward = self.factor.forward(&signs);
         let grown = dot(forward, forward) - 10.0 * rank as f64;
-        let Workspace { rows, validated, curve, forward, .. } = &mut self.plain;
+        let Workspace { rows, validated, curve, .. } = &mut self.plain;
         for c in 0..responses {
-            self.factor.projection(c, &factor.projection[c * rank..(c + 1) * rank], forward);
+            let projection = self.factor.projection(c).to_vec();
             for &i in &rows[rows.len() - *validated..] {
                 let u = self.factor.forward(factor.basis_row(i));
-                add_squares([right[i * responses + c]], u.as_chunks().0, forward, cuts, curve);
+                add_squares([right[i * responses + c]], u.as_chunks().0, &projection, cuts, curve);
             }
         }
         if grown > 0.0 { smallest.min(grown.recip()) } else { smallest }
@@ -119,16 +118,16 @@ impl Rescue<'_> {
 
     /// Turns the matrix into that of the pair at hand.
     fn update_gram(&mut self) {
-        let Self { sweep, plain, last, basis_gram, .. } = self;
+        let Self { sweep, plain, last, whole, .. } = self;
         let factor = &sweep.nested.factor;
         let Workspace { members, stamps, now, slide, .. } = plain;
         slide.find(last, members, stamps, *now);
         if slide.len() > members.len() {
-            last.gram.start(basis_gram, factor.rank, factor.responses);
+            last.gram.copy_from(whole);
             slide.removed.clear();
             slide.added.clone_from(members);
         }
-        let fetch = |i: usize| (factor.basis_row(i), factor.residual_row(i));
+        let fetch = |i: usize| (factor.basis_row(i), sweep.nested.right_row(i));
         last.gram.change(&sweep.rows_of(&slide.added), -1.0, fetch);
         last.gram.change(&sweep.rows_of(&slide.removed), 1.0, fetch);
         last.set_members(members);

@@ -107,6 +107,10 @@ impl DdMatrix {
         (self.hi[i], self.lo[i]) = (value.hi, value.lo);
     }
 
+    fn add(&mut self, other: &Self) {
+        (0..self.hi.len()).for_each(|i| self.set(i, self.get(i).plus(other.get(i))));
+    }
+
     fn part(&self, first: usize, count: usize) -> Pair<'_> {
         (&self.hi[first..first + count], &self.lo[first..first + count])
     }
@@ -196,26 +200,6 @@ fn total(mut hi: [f64; 8], lo: [f64; 8]) -> Dd {
     Dd::renormalised(hi[0], low)
 }
 
-/// `Q^T Q` in twice the digits; Q is row-major.
-pub fn gram(basis: &[f64], order: usize, pool: &Pool<'_>) -> Result<DdMatrix, Error> {
-    const GRAM_ROWS: usize = 1024;
-    let mut parts = vec![DdMatrix::default(); basis.len().div_ceil(GRAM_ROWS * order.max(1))];
-    pool.run(
-        parts.iter_mut().zip(basis.chunks(GRAM_ROWS * order.max(1))),
-        Vec::new,
-        |columns, (part, block)| {
-            *part = DdMatrix::zeros(order * order);
-            transpose(block.chunks_exact(order), order, columns);
-            add_products(part, columns, order, 1.0);
-        },
-    )?;
-    let mut sum = DdMatrix::zeros(order * order);
-    for part in &parts {
-        (0..order * order).for_each(|i| sum.set(i, sum.get(i).plus(part.get(i))));
-    }
-    Ok(sum)
-}
-
 /// Columns of rows, one after another.
 fn transpose<'a>(rows: impl ExactSizeIterator<Item = &'a [f64]>, order: usize, columns: &mut Vec<f64>) {
     let count = rows.len();
@@ -259,7 +243,8 @@ impl WithSimd for AddProducts<'_> {
     }
 }
 
-/// `Q^T Q - Q_K^T Q_K` above `-Q_K^T e_K`: what [`crate::holdout::gram::Gram`] is in plain arithmetic.
+/// `Q^T Q - Q_K^T Q_K` above `Q^T b - Q_K^T b_K`. Of training rows that are light beside those held out, these differences
+/// are far below the digits of their terms, as are residuals: hence b in twice the digits, not e as in plain arithmetic.
 #[derive(Clone, Default)]
 pub struct DdGram {
     order: usize,
@@ -271,11 +256,46 @@ pub struct DdGram {
 }
 
 impl DdGram {
-    /// Nothing held out.
-    pub fn start(&mut self, squares: &DdMatrix, order: usize, responses: usize) {
-        self.order = order;
-        self.matrix.copy((&squares.hi, &squares.lo));
-        self.right = DdMatrix::zeros(order * responses);
+    /// Nothing held out of a basis and its right-hand sides, both row-major.
+    pub fn whole(
+        basis: &[f64],
+        order: usize,
+        right: &[f64],
+        responses: usize,
+        pool: &Pool<'_>,
+    ) -> Result<Self, Error> {
+        const GRAM_ROWS: usize = 1024;
+        let fetch =
+            |i: usize| (&basis[i * order..(i + 1) * order], &right[i * responses..(i + 1) * responses]);
+        let rows = basis.len() / order.max(1);
+        let mut parts = vec![Self::zeros(order, responses); rows.div_ceil(GRAM_ROWS)];
+        pool.run(parts.iter_mut().enumerate(), Vec::new, |block, (k, part)| {
+            block.clear();
+            block.extend((k * GRAM_ROWS..rows).take(GRAM_ROWS));
+            part.change(block, 1.0, fetch);
+        })?;
+        let mut sum = Self::zeros(order, responses);
+        for part in &parts {
+            sum.matrix.add(&part.matrix);
+            sum.right.add(&part.right);
+        }
+        Ok(sum)
+    }
+
+    fn zeros(order: usize, responses: usize) -> Self {
+        Self {
+            order,
+            matrix: DdMatrix::zeros(order * order),
+            right: DdMatrix::zeros(order * responses),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the other's place without giving up the own memory.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.order = other.order;
+        self.matrix.copy((&other.matrix.hi, &other.matrix.lo));
+        self.right.copy((&other.right.hi, &other.right.lo));
     }
 
     /// Holds rows out (sign -1) or takes them back in (1), each given by its entries and its right-hand sides.
@@ -287,9 +307,9 @@ impl DdGram {
         transpose(rows.iter().map(|&i| fetch(i).0), *order, columns);
         transpose(rows.iter().map(|&i| fetch(i).1), right.hi.len() / *order, responses);
         add_products(matrix, columns, *order, sign);
-        for (c, e) in responses.chunks_exact(rows.len()).enumerate() {
+        for (c, b) in responses.chunks_exact(rows.len()).enumerate() {
             for (j, column) in columns.chunks_exact(rows.len()).enumerate() {
-                let Dd { hi, lo } = Arch::new().dispatch(Dot { a: column, b: e });
+                let Dd { hi, lo } = Arch::new().dispatch(Dot { a: column, b });
                 let at = c * *order + j;
                 right.set(at, right.get(at).plus(Dd { hi: sign * hi, lo: sign * lo }));
             }
@@ -303,7 +323,7 @@ pub struct DdFactor {
     order: usize,
     lower: DdMatrix,
     inverse_pivots: DdMatrix,
-    /// `L^-1 (-Q_K^T e_K)`, responses x order.
+    /// `L^-1 (Q^T b - Q_K^T b_K)`, responses x order.
     right: DdMatrix,
     row: DdMatrix,
 }
@@ -340,17 +360,9 @@ impl DdFactor {
         upper
     }
 
-    /// `L^T c + L^-1 (-Q_K^T e_K)` of a response, whose c is given.
-    pub fn projection(&self, response: usize, c: &[f64], out: &mut Vec<f64>) {
-        let order = self.order;
-        let mut sums: Vec<Dd> = (0..order).map(|j| self.right.get(response * order + j)).collect();
-        for (i, &c) in c.iter().enumerate() {
-            for (j, sum) in sums[..=i].iter_mut().enumerate() {
-                *sum = sum.plus(self.lower.get(i * order + j).times(Dd::new(c)));
-            }
-        }
-        out.clear();
-        out.extend(sums.iter().map(|sum| sum.hi));
+    /// `L^-1 (Q^T b - Q_K^T b_K)` of a response, in plain numbers.
+    pub fn projection(&self, response: usize) -> &[f64] {
+        &self.right.hi[response * self.order..(response + 1) * self.order]
     }
 
     /// `L^-1 x` of a plain row.
@@ -469,9 +481,8 @@ mod tests {
             let basis: Vec<f64> =
                 (0..rows).flat_map(|i| (0..order.min(2)).map(move |j| entry(i, j))).collect();
             let order = order.min(2);
-            let basis_gram = super::gram(&basis, order, &pool).unwrap();
-            let mut gram = DdGram::default();
-            gram.start(&basis_gram, order, 1);
+            let right = vec![1.0; rows];
+            let mut gram = DdGram::whole(&basis, order, &right, 1, &pool).unwrap();
             let fetch = |i: usize| (&basis[i * order..(i + 1) * order], &[1.0][..]);
             gram.change(&[0, 1, 2], -1.0, fetch);
             gram.change(&[1, 2], 1.0, fetch);
@@ -485,6 +496,9 @@ mod tests {
             let upper = factor.upper();
             assert!((upper[3] / distance.sqrt() - 1.0).abs() < 1e-6);
             assert!((factor.forward(&[0.0, 1.0])[1] * upper[3] - 1.0).abs() < 1e-12);
+            // The right-hand side was that of row 0 too; what is left is the sum of the other rows, exactly.
+            let sum: f64 = column(0).map(|(a, _)| a).sum();
+            assert!((factor.projection(0)[0] * upper[0] / sum - 1.0).abs() < 1e-12);
         }
     }
 

@@ -15,7 +15,7 @@ use crate::pool::Pool;
 const PASS_ROWS: usize = 512;
 
 /// Below this lambda_min(M) a step no longer contracts the error enough, and the basis has too few digits.
-const REFINED_MIN_EIGENVALUE: f64 = 1e-10;
+const REFINED_MIN_EIGENVALUE: f64 = 1e-8;
 
 /// The most steps for a pair: each gains five digits or more as a rule.
 const MOST_STEPS: usize = 4;

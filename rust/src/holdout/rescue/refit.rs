@@ -36,15 +36,11 @@ impl Refit {
         (rows, validated): (&[usize], usize),
         out: &mut [f64],
     ) -> Result<Status, Error> {
-        self.held.resize(factor.total_rows, false);
-        self.change.resize(factor.rank * factor.responses, 0.0);
-        self.row.resize(factor.rank + factor.responses, 0.0);
-        rows.iter().for_each(|&i| self.held[i] = true);
-        let reduced = self.reduce(factor, problem, pool, rows.len());
-        rows.iter().for_each(|&i| self.held[i] = false);
-        if !reduced? {
+        self.reduce(factor, problem, pool, rows)?;
+        if self.rank(factor, pool)? < factor.rank {
             return Ok(Status::Undefined);
         }
+        self.solve(factor);
         for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&rows[..validated]) {
             factor.full_rank_row(problem, row, &mut self.row)?;
             let (left, right) = self.row.split_at(factor.rank);
@@ -55,27 +51,45 @@ impl Refit {
         Ok(Status::Refitted)
     }
 
-    /// Solves the training rows by QR; false if they have lost rank.
-    fn reduce(
+    /// `((I - H_KK)^-1)_TT = I + X_T (X_-K^T X_-K)^-1 X_T^T` of the first `validated` of the held-out rows, row-major;
+    /// NaN where the training rows have lost rank.
+    pub(crate) fn spread(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        held: usize,
-    ) -> Result<bool, Error> {
-        let (rank, responses) = (factor.rank, factor.responses);
-        let width = rank + responses;
-        let height = (self.held.len() - held).clamp(width, width + REDUCED_ROWS);
-        self.triangle(factor, problem, pool, height, width)?;
-        if self.rank(factor, height, pool)? < rank {
-            return Ok(false);
+        (rows, validated): (&[usize], usize),
+        out: &mut [f64],
+    ) -> Result<(), Error> {
+        self.reduce(factor, problem, pool, rows)?;
+        if self.rank(factor, pool)? < factor.rank {
+            out.fill(f64::NAN);
+            return Ok(());
         }
+        let mut solves = Vec::with_capacity(validated * factor.rank);
+        for &row in &rows[..validated] {
+            self.forward(factor, problem, row, factor.rank)?;
+            solves.extend_from_slice(&self.row[..factor.rank]);
+        }
+        let solve = |i: usize| &solves[i * factor.rank..(i + 1) * factor.rank];
+        for i in 0..validated {
+            for j in 0..=i {
+                let c = dot(solve(i), solve(j)) + if i == j { 1.0 } else { 0.0 };
+                (out[i * validated + j], out[j * validated + i]) = (c, c);
+            }
+        }
+        Ok(())
+    }
+
+    /// Coefficients of the training rows, from their triangle.
+    fn solve(&mut self, factor: &Factor) {
+        let (rank, responses) = (factor.rank, factor.responses);
+        self.change.resize(rank * responses, 0.0);
         for (c, change) in self.change.chunks_exact_mut(rank).enumerate() {
-            let column = (rank + c) * height;
+            let column = (rank + c) * self.height;
             change.copy_from_slice(&self.block[column..column + rank]);
         }
-        linalg::solve_upper(&self.block, height, rank, &mut self.change, responses);
-        Ok(true)
+        linalg::solve_upper(&self.block, self.height, rank, &mut self.change, responses);
     }
 
     /// Reduces the training rows of a design of full rank, and tells how many of its leading columns they determine.
@@ -86,17 +100,28 @@ impl Refit {
         pool: &Pool<'_>,
         rows: &[usize],
     ) -> Result<usize, Error> {
-        self.held.resize(factor.total_rows, false);
-        rows.iter().for_each(|&i| self.held[i] = true);
-        let (rank, responses) = (factor.rank, factor.responses);
-        let width = rank + responses;
+        self.reduce(factor, problem, pool, rows)?;
+        let triangle: Vec<f64> =
+            (0..factor.rank).flat_map(|j| self.column(j, factor.rank)).copied().collect();
+        leading_rank(&triangle, factor.rank, factor.tolerance, pool)
+    }
+
+    /// Reduces all rows but those held out.
+    fn reduce(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        rows: &[usize],
+    ) -> Result<(), Error> {
+        let width = factor.rank + factor.responses;
+        self.held.resize(factor.problem_rows(), false);
         self.row.resize(width, 0.0);
         self.height = (self.held.len() - rows.len()).clamp(width, width + REDUCED_ROWS);
-        let reduced = self.triangle(factor, problem, pool, self.height, width);
+        rows.iter().for_each(|&i| self.held[i] = true);
+        let reduced = self.triangle(factor, problem, pool, width);
         rows.iter().for_each(|&i| self.held[i] = false);
-        reduced?;
-        let triangle: Vec<f64> = (0..rank).flat_map(|j| self.column(j, rank)).copied().collect();
-        leading_rank(&triangle, rank, factor.tolerance, pool)
+        reduced
     }
 
     fn column(&self, j: usize, kept: usize) -> &[f64] {
@@ -113,14 +138,26 @@ impl Refit {
         leading: usize,
     ) -> Result<(f64, &[f64], &[f64]), Error> {
         let rank = factor.rank;
+        self.forward(factor, problem, i, leading)?;
+        let projection = self.column(rank + response, leading);
+        Ok((self.row[rank + response], &self.row[..leading], projection))
+    }
+
+    /// Leaves the forward solve of row `i`, its leading entries, in `row`.
+    fn forward(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        i: usize,
+        leading: usize,
+    ) -> Result<(), Error> {
         factor.full_rank_row(problem, i, &mut self.row)?;
         for j in 0..leading {
             let at = j * self.height;
             let (known, rest) = self.row.split_at_mut(j);
             rest[0] = (rest[0] - dot(&self.block[at..at + j], known)) / self.block[at + j];
         }
-        let projection = self.column(rank + response, leading);
-        Ok((self.row[rank + response], &self.row[..leading], projection))
+        Ok(())
     }
 
     /// Leaves the triangle of the training rows and their right-hand sides at the top of `block`.
@@ -129,10 +166,10 @@ impl Refit {
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        height: usize,
         width: usize,
     ) -> Result<(), Error> {
-        let Self { held, row: entries, block, reflectors, scratch, .. } = self;
+        let Self { held, row: entries, block, reflectors, scratch, height, .. } = self;
+        let height = *height;
         // Sized for the largest block, whatever this pair's.
         let scratch = scratch.get_or_insert_with(|| QrScratch::new(width + REDUCED_ROWS, width));
         block.clear();
@@ -157,19 +194,16 @@ impl Refit {
     }
 
     /// Rank of the training rows, the design's columns at unit length.
-    fn rank(&self, factor: &Factor, height: usize, pool: &Pool<'_>) -> Result<usize, Error> {
+    fn rank(&self, factor: &Factor, pool: &Pool<'_>) -> Result<usize, Error> {
         let rank = factor.rank;
         let mut r = vec![0.0; rank * rank];
         for (j, column) in r.chunks_exact_mut(rank).enumerate() {
-            column[..=j].copy_from_slice(&self.block[j * height..j * height + j + 1]);
+            column[..=j].copy_from_slice(self.column(j, j + 1));
         }
-        let full = rank == factor.columns;
-        let bound = if full { 1.0 } else { factor.least } / linalg::inverse_norm(&r, rank);
-        if bound > 2.0 * factor.tolerance * (factor.columns as f64).sqrt() {
+        if linalg::inverse_norm(&r, rank).recip() > 2.0 * factor.tolerance * (rank as f64).sqrt() {
             return Ok(rank);
         }
-        let design = if full { r } else { linalg::product(&r, &factor.triangle, rank, rank, factor.columns) };
-        let values = linalg::thin_svd(design, rank, factor.columns, pool)?.s;
+        let values = linalg::thin_svd(r, rank, rank, pool)?.s;
         Ok(numerical_rank(&values, factor.tolerance))
     }
 }
