@@ -183,7 +183,7 @@ def test_bad_options_are_one_line(matches, run, tmp_path, options, says):
     [
         (None, "No such file"),
         ("", "Invalid matches"),
-        ("1,2,3\n", "line 1"),
+        ("1,2,3\n", "3 columns in m.csv"),
         ("1,2,3,4\n1,nan,3,4\n", "line 2"),
         ("1,2,3,4\n1,oops,3,4\n", "line 2"),
         ("1,2,3,4\n", "Invalid source"),

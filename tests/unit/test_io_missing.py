@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mexpress.cli.common import Parser, add_missing
+from mexpress.cli.common import Parser, add_table
 from mexpress.io.missing import Missing
 
 
@@ -55,12 +55,12 @@ def test_where_there_are_none(array, values, expected):
 )
 def test_the_option(words, expected):
     parser = Parser()
-    add_missing(parser)
+    add_table(parser, "x,y")
     assert parser.parse_args(words).missing == expected
 
 
 def test_an_option_that_is_refused(capsys):
     parser = Parser()
-    add_missing(parser)
+    add_table(parser, "x,y")
     with pytest.raises(Exception, match="must be numbers that mean no data, such as -9999,65535, or drop"):
         parser.parse_args(["--missing", "none"])

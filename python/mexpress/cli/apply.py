@@ -35,7 +35,13 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         type=Path,
         help="warp.npz of `mexpress warp`, or surface.npz of `mexpress surface`",
     )
-    add("points", metavar="POINTS", type=Path, help="text with columns x y, .npz or .npy")
+    add(
+        "points",
+        metavar="POINTS",
+        type=Path,
+        help="text with columns x y, .npz, .npy or .parquet; - is standard input",
+    )
+    common.add_table(parser, "x,y")
     add(
         "--inverse",
         action="store_true",
@@ -47,7 +53,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     model = files.load(arguments.model)
-    points = matches.read_points(arguments.points)
+    points = matches.read_points(arguments.points, **common.table_options(arguments))
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)

@@ -101,14 +101,25 @@ def add_run(parser: Parser) -> None:
     add("--quiet", action="store_true", help="show no progress")
 
 
-def add_missing(parser: Parser) -> None:
-    """Add the option that says what stands for no data."""
+def add_table(parser: Parser, columns: str) -> None:
+    """Add the options that say what a table's columns are, such as `columns`, and what stands for no data."""
+    parser.add_argument(
+        "--columns",
+        type=_names,
+        metavar=columns.upper(),
+        help=f"which columns are {columns}: their names, or their numbers from 1 (default: by the header)",
+    )
     parser.add_argument(
         "--missing",
         type=_missing,
         metavar="V[,V...]|drop",
         help="values that mean no data, such as -9999,65535; drop leaves out rows with empty cells or nan too",
     )
+
+
+def table_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what the readers of tables take."""
+    return {"columns": arguments.columns, "missing": arguments.missing}
 
 
 def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:

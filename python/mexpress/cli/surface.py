@@ -35,9 +35,10 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "input",
         metavar="INPUT",
         type=Path,
-        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz or text with columns x y z "
-        "or u v x y z, and weight if there",
+        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz, .parquet or text with columns "
+        "x y z or u v x y z, and weight if there; - is standard input",
     )
+    common.add_table(parser, "x,y,z")
     add("--scale", type=float, metavar="S", help="a depth map's units per metre (default: 1000 for images)")
     add(
         "--intrinsics",
@@ -86,7 +87,13 @@ def _run(arguments: argparse.Namespace) -> None:
     most = None if arguments.all else arguments.data
     column = arguments.weights or arguments.sigma
     cloud = read_cloud(
-        arguments.input, arguments.scale, arguments.intrinsics, most, arguments.seed, weights=column
+        arguments.input,
+        arguments.scale,
+        arguments.intrinsics,
+        most,
+        arguments.seed,
+        column,
+        **common.table_options(arguments),
     )
     unit = arguments.unit or _unit(arguments, cloud)
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -38,8 +38,10 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "matches",
         metavar="MATCHES",
         type=Path,
-        help="text with columns x1 y1 x2 y2, and weight if there, .npz or .npy",
+        help="text with columns x1 y1 x2 y2, and weight if there, .npz, .npy, .parquet, or landmarks of QGIS or "
+        "BigWarp; - is standard input",
     )
+    common.add_table(parser, "x1,y1,x2,y2")
     add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
     add(
@@ -56,8 +58,8 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    source, target, column = matches.read_weighted_matches(
-        arguments.matches, arguments.weights or arguments.sigma
+    source, target, column, _ = matches.read_weighted_matches(
+        arguments.matches, arguments.weights or arguments.sigma, **common.table_options(arguments)
     )
     images = _images(arguments)
     size = arguments.image_size

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 
-DROP = "drop"
+DROP, KEEP = "drop", "keep"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Missing:
     """Values that mean no data, and what to do with data that are missing otherwise.
 
@@ -30,14 +30,17 @@ class Missing:
         Values that mean that there is no measurement, such as -9999.
     drop : bool
         Whether rows of a table with NaN, infinite or empty cells are left out; else they are an error.
+    keep : bool
+        Whether they stay instead, as rows of NaN, and so do rows with one of the values.
     """
 
     values: tuple[float, ...] = ()
     drop: bool = False
+    keep: bool = False
 
     @classmethod
     def of(cls, given: Any) -> Self:
-        """Check what a reader is given: None, a number, "drop", or a sequence of these.
+        """Check what a reader is given: None, a number, "drop" or "keep", or a sequence of these.
 
         Raises
         ------
@@ -47,17 +50,22 @@ class Missing:
         Examples
         --------
         >>> Missing.of(-9999), Missing.of("drop"), Missing.of(None)
-        (Missing(values=(-9999.0,), drop=False), Missing(values=(), drop=True), Missing(values=(), drop=False))
+        (Missing(-9999), Missing(drop), Missing())
         """
         if given is None:
             return cls()
-        rule = 'It must be a number that means no data, "drop", or several of these.'
+        rule = 'It must be a number that means no data, "drop" or "keep", or several of these.'
         parts = [given] if isinstance(given, str) or np.ndim(given) == 0 else list(given)
         words = [part for part in parts if isinstance(part, str)]
-        if any(word != DROP for word in words):
+        if set(words) not in ({DROP}, {KEEP}, set()):
             check.refuse("missing", rule, check.describe(given))
         numbers = [part for part in parts if not isinstance(part, str)]
-        return cls(tuple(check.number(part, "missing", rule, -np.inf) for part in numbers), bool(words))
+        values = tuple(check.number(part, "missing", rule, -np.inf) for part in numbers)
+        return cls(values, DROP in words, KEEP in words)
+
+    def __repr__(self) -> str:
+        words = [DROP] * self.drop + [KEEP] * self.keep
+        return f"Missing({', '.join([*map('{:g}'.format, self.values), *words])})"
 
     def marks(self, array: NDArray[Any]) -> NDArray[np.bool_]:
         """Return where an array of real numbers has none: it is not finite, or one of the values.
