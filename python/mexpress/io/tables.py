@@ -394,10 +394,9 @@ class ArrayTable:
         if array.dtype.kind == "O":
             array = np.array([np.nan if _is_nothing(cell) else cell for cell in array.tolist()])
         if array.dtype.kind not in "biuf" or array.ndim != 1:
-            name = self.names[k] if self.names else k + 1
-            check.refuse(
-                "columns", "They must hold numbers.", f"{array.dtype} in column {name} of {self.where}"
-            )
+            kind = "text" if array.dtype.kind == "U" else f"{array.dtype}"
+            given = f"{kind} in column {self.names[k] if self.names else k + 1} of {self.where}"
+            check.refuse(self.name, "Columns must hold numbers.", given)
         return array.astype(np.float64)
 
     def place(self, row: int, column: int) -> str:

@@ -21,6 +21,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,9 +121,7 @@ class TextTable:
 
     def _one_by_one(self, columns: Sequence[int]) -> Floats:
         cells = [[row[k] for k in columns] for row in (self._cells(*line) for line in self.lines)]
-        mark = (
-            "," if self.separator != "," and any(_has_comma(cell) for row in cells for cell in row) else "."
-        )
+        mark = "," if any(_has_comma(cell) for row in cells for cell in row) else "."
         return np.array(
             [
                 [self._value(cell, mark, number) for cell in row]
@@ -200,15 +199,14 @@ def read_text(path: Path, name: str) -> TextTable:
 
 
 def _decoded(content: bytes, name: str, where: str) -> str:
-    mark = next((mark for mark in _BYTE_ORDER_MARKS if content.startswith(mark)), None)
-    try:
-        text = content.decode("utf-8" if mark is None else _BYTE_ORDER_MARKS[mark])
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")  # which every byte is in: numbers are the same, and names nearly so
-    if "\0" in text:
-        rule = "A file of this ending must be text, in UTF-8, Latin-1, or UTF-16 with a byte-order mark."
-        check.refuse(name, rule, f"{where}, which is not")
-    return text
+    marked = [encoding for mark, encoding in _BYTE_ORDER_MARKS.items() if content.startswith(mark)]
+    for encoding in marked or ["utf-8", "latin-1"]:  # where other encodings differ are no numbers
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            if "\0" not in text:
+                return text
+    rule = "A file of this ending must be text, in UTF-8, Latin-1, or UTF-16 with a byte-order mark."
+    check.refuse(name, rule, f"{where}, which is not")
 
 
 def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
