@@ -90,7 +90,7 @@ def test_plain_arrays(tmp_path):
         ("", "which has none"),
         ("\n# nothing\n", "which has none"),
         ("x1,y1,x2,y2\n", "below its header"),
-        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*\(--columns x1,y1,x2,y2\)\. Given 3 columns in"),
+        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*\(such as --columns 1,2,3,4\)\. Given 3 columns in"),
         ("1,2,3,4,5\n", r"Given 5 columns in"),
         ("1,2,3,4,five,6,seven\n", r"Given 6 columns in m.csv, besides 'seven' in line 1"),
         ("id,a,b,c\n1,2,3,4\n", r"Given 4 columns \(id, a, b, c\) in"),
@@ -137,7 +137,7 @@ def test_texts_that_are_refused(tmp_path, text, says):
         ({"matches": TABLE * np.inf}, "inf at row 0"),
         ({"matches": np.array([["1"] * 4])}, "real numbers"),
         ({"matches": TABLE, "weights": np.ones(2)}, r"weights\. .*3 numbers.*\(2,\)"),
-        ({"a": np.ones((3, 5))}, r"--columns .*5 columns in a in m\.npz of shape \(3, 5\)"),
+        ({"a": np.ones((3, 5))}, r"--columns 1,2,3,4.*5 columns in a in m\.npz of shape \(3, 5\)"),
         ({"matches": np.array([[None] * 4])}, "arrays of numbers"),
     ],
 )
@@ -194,8 +194,8 @@ def test_weights_are_a_column_by_name(tmp_path):
 def test_weights_are_an_array_by_name(tmp_path, arrays):
     weights = np.array([1.0, 0.0, 2.0])
     np.savez(tmp_path / "m.npz", **arrays, weights=weights)
-    source, target, found, rows = read_weighted_matches(tmp_path / "m.npz")
-    assert rows.tolist() == [0, 1, 2]
+    source, target, found, known = read_weighted_matches(tmp_path / "m.npz")
+    assert known.tolist() == [True] * 3
     np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
     np.testing.assert_array_equal(found, weights)
     np.savez(tmp_path / "m.npz", **arrays, sigma=weights)

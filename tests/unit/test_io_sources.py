@@ -32,10 +32,10 @@ def arrow(columns):
 @pytest.mark.parametrize("frame", [pd.DataFrame, nullable, arrow, pl.DataFrame, pa.table])
 def test_frames(frame):
     table = frame(COLUMNS)
-    source, target, weights, rows = read_weighted_matches(table, missing="drop")
+    source, target, weights, known = read_weighted_matches(table, missing="drop")
     np.testing.assert_array_equal(np.hstack([source, target]), EXPECTED)
-    assert (weights, rows.tolist()) == (None, [0, 1, 3, 4])
-    assert read_weighted_matches(table, "w", missing="drop").rows.tolist() == [0, 1, 4]
+    assert (weights, known.nonzero()[0].tolist()) == (None, [0, 1, 3, 4])
+    assert read_weighted_matches(table, "w", missing="drop").known.nonzero()[0].tolist() == [0, 1, 4]
     with pytest.raises(ValueError, match=r"missing=\"drop\".*row 2 of the frame"):
         read_matches(table)
     np.testing.assert_array_equal(

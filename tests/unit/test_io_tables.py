@@ -80,11 +80,20 @@ def test_the_names_decide_and_not_the_order(file, order):
         ("id,y,x,z", [2, 1]),
         ("name,Easting [m],Northing [m]", [1, 2]),
         ("x,y,error", [0, 1]),
+        ("id,src_x,src_y", [1, 2]),
+        ("id,y2,x2", [2, 1]),
     ],
 )
 def test_headers_of_points(file, header, expected):
     table = RNG.normal(size=(5, header.count(",") + 1))
     np.testing.assert_array_equal(read_points(file(text(table, header))), table[:, expected])
+
+
+def test_matches_are_no_points_until_it_is_clear_of_which_image(file):
+    path = file(text(ROWS, "x1,y1,x2,y2"))
+    with pytest.raises(ValueError, match=r"^Invalid points\. .*Given x1, y1 or x2, y2 in t\.csv"):
+        read_points(path)
+    np.testing.assert_array_equal(read_points(path, columns=["x2", "y2"]), ROWS[:, 2:])
 
 
 @pytest.mark.parametrize(
@@ -124,7 +133,9 @@ def test_a_narrow_table_is_no_depth_map_and_must_say_what_it_is(tmp_path, width,
     readings = (
         f"Given {width} columns, which may be u v x y z or x y z and others," if width > 4 else "4 columns"
     )
-    with pytest.raises(ValueError, match=rf"^Invalid cloud\. .*--columns x,y,z.*{readings} .*c\.{name[2:]}"):
+    with pytest.raises(
+        ValueError, match=rf"^Invalid cloud\. .*--columns 1,2,3\)\..*{readings} .*c\.{name[2:]}"
+    ):
         read_cloud(path)
     read = np.loadtxt(path) if name == "c.txt" else table
     for columns in ([1, 2, 3], ["3", "1", "4"], range(1, 6) if width >= 5 else [4, 3, 2]):
@@ -222,8 +233,8 @@ HOLES = "x1,y1,x2,y2\n1,2,3,4\n5,,7,8\n9,-9999,11,12\n13,NA,15,16\n17,18,19,20\n
     [("drop", [0, 2, 4]), (["drop", -9999], [0, 4]), (["drop", -9999, 20], [0]), (("drop", 1e10), [0, 2, 4])],
 )
 def test_rows_with_something_missing_are_left_out(file, missing, rows):
-    source, target, _, found = read_weighted_matches(file(HOLES), missing=missing)
-    assert found.tolist() == rows
+    source, target, _, known = read_weighted_matches(file(HOLES), missing=missing)
+    assert known.nonzero()[0].tolist() == rows
     np.testing.assert_array_equal(source[:, 0], [[1, 5, 9, 13, 17][k] for k in rows])
     np.testing.assert_array_equal(target[:, 1], [[4, 8, 12, 16, 20][k] for k in rows])
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import mexpress as mx
+from mexpress.plotting import plot_control_points
 
 RNG = np.random.default_rng(3)
 SOURCE = RNG.uniform(0, 100, (40, 2))
@@ -48,6 +49,7 @@ def test_a_surface_without_the_rows_in_which_something_is_missing(smoothing):
     assert (selection.criterion, selection.count) == (clean.criterion, clean.count)
     # They tell of the data by their rows.
     assert len(selection.notes) == len(clean.notes)
+    plot_control_points(selection)
     assert selection.kept.tolist() == KEPT.tolist()
 
 

@@ -257,10 +257,18 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
     return list(plots)
 
 
-def aside(selection: FittedSelection[Any]) -> Aside:
-    """Return what of the data is not in the fit."""
-    others = np.setdiff1d(np.arange(len(selection.data.points)), selection.kept)
-    return Aside(selection.left_out, np.setdiff1d(others, selection.left_out))
+def drawn(selection: FittedSelection[Any]) -> tuple[Floats, Floats, Aside]:
+    """Return the points and values of the data, without those that are missing, and what of them is not in the fit."""
+    data = selection.data
+    there = np.flatnonzero(np.isfinite(data.points).all(axis=1))
+    left_out, kept = (np.searchsorted(there, some) for some in (selection.left_out, selection.kept))
+    absent = np.setdiff1d(np.arange(len(there)), np.union1d(left_out, kept))
+    return data.points[there], data.values[there], Aside(left_out, absent)
+
+
+def missing_text(n_missing: int) -> str:
+    """Return what to say after a number of data of those that are not there."""
+    return f" ({n_missing} more are missing)" if n_missing else ""
 
 
 def sizes_summary(sizes: Floats) -> dict[str, float]:

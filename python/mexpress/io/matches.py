@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
-from mexpress._validation import Floats, Integers
+from mexpress._validation import Floats
 from mexpress.io.archives import read_arrays
 from mexpress.io.keypoints import index_pairs
 from mexpress.io.landmarks import landmarks
@@ -31,12 +31,12 @@ WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
 
 
 class WeightedMatches(NamedTuple):
-    """Matched points (n, 2) of two images, their weights (n,) if they have some, and of which rows they are."""
+    """Matched points (n, 2) of two images, their weights (n,) or None, and which rows of the file these are."""
 
     source: Floats
     target: Floats
     weights: Floats | None
-    rows: Integers
+    known: NDArray[np.bool_]
 
 
 def read_matches(
@@ -118,8 +118,8 @@ def read_weighted_matches(
     Returns
     -------
     WeightedMatches
-        `source` and `target`, (n, 2), `weights`, (n,) or None, and `rows`, (n,): the indices of the rows that they are
-        from, since some may be left out.
+        `source` and `target`, (n, 2), `weights`, (n,) or None, and `known`, (rows,): which rows of the file these are,
+        since some may be left out.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def read_weighted_matches(
     ...         print("x1,y1,x2,y2,score", file=file)
     ...         print("1,2,3,4,0.9", file=file)
     ...     read_weighted_matches(f"{folder}/matches.csv", "score")
-    WeightedMatches(source=array([[1., 2.]]), target=array([[3., 4.]]), weights=array([0.9]), rows=array([0]))
+    WeightedMatches(source=array([[1., 2.]]), target=array([[3., 4.]]), weights=array([0.9]), known=array([ True]))
     """
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
@@ -142,14 +142,13 @@ def read_weighted_matches(
     if marked:
         shares = find(table, weight)
         chosen = marked.columns if shares is None else [*marked.columns, shares]
-        numbers, rows = complete(table, chosen, told, marked.off)
+        numbers, known = complete(table, chosen, told, marked.off)
         numbers[:, :4] *= marked.signs
     else:
-        numbers, rows = complete(table, choose(table, [MATCHES], columns, weight).all, told)
+        numbers, known = complete(table, choose(table, [MATCHES], columns, weight).all, told)
     weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
-    return WeightedMatches(
-        numbers[:, :2].copy(), numbers[:, 2:4].copy(), named_weights(weights, column, table.where), rows
-    )
+    named_weights(weights, column, table.where)
+    return WeightedMatches(numbers[:, :2].copy(), numbers[:, 2:4].copy(), weights, known)
 
 
 def named_weights(weights: Any, column: str | int | None, where: str) -> Any:

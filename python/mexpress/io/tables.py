@@ -6,7 +6,7 @@ Examples
 --------
 >>> table = ArrayTable("p.npy", "points", ["id", "src_x", "src_y"], np.array([[7, 8], [1.0, 3], [2, np.nan]]))
 >>> complete(table, choose(table, [POINTS]).columns, Missing(drop=True))
-(array([[1., 2.]]), array([0]))
+(array([[1., 2.]]), array([ True, False]))
 """
 
 import re
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
-from mexpress._validation import Floats, Integers
+from mexpress._validation import Floats
 from mexpress.io.missing import Missing
 
 _AXES = (
@@ -76,7 +76,9 @@ MATCHES = Layout(
         for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
     ],
 )
-POINTS = Layout(("x", "y"), [*_AXES, *(names[:2] for names in MATCHES.spellings)])
+POINTS = Layout(
+    ("x", "y"), [*_AXES, *sorted({pair for names in MATCHES.spellings for pair in (names[:2], names[2:])})]
+)
 XYZ = Layout(("x", "y", "z"), [(*axes, height) for axes in _AXES for height in _HEIGHTS])
 UVXYZ = Layout(("u", "v", "x", "y", "z"), [("u", "v", "x", "y", "z")], nameless=False)
 
@@ -221,9 +223,10 @@ def _is_index(names: Sequence[str]) -> bool:
 def _rule(layouts: Sequence[Layout]) -> str:
     named = " or ".join(", ".join(layout.columns) for layout in layouts)
     nameless = next(layout.columns for layout in layouts if layout.nameless)
+    numbers = ",".join(map(str, range(1, len(nameless) + 1)))
     return (
         f"It must have {len(nameless)} columns ({', '.join(nameless)}), or a header that names {named}; else say which "
-        f"columns are meant, by name or by number from 1: columns= (--columns {','.join(nameless)})."
+        f"columns are meant, by name or by number from 1, with columns= (such as --columns {numbers})."
     )
 
 
@@ -277,8 +280,8 @@ def complete(
     columns: Sequence[int],
     missing: Missing,
     off: NDArray[np.bool_] | None = None,
-) -> tuple[Floats, Integers]:
-    """Return the rows of columns that have all of their numbers, and the indices of these rows.
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the rows of columns that have all of their numbers, and which of all rows these are.
 
     Parameters
     ----------
@@ -316,15 +319,14 @@ def complete(
     gone |= holes.any(axis=1)
     if missing.keep:
         numbers[gone] = np.nan
-        return numbers, np.arange(len(numbers))
+        return numbers, ~gone
     if gone.all():
         check.refuse(
             table.name,
             "One row at least must have all of its numbers.",
             f"none of {len(gone)} in {table.where}",
         )
-    rows = np.flatnonzero(~gone)
-    return numbers[rows], rows
+    return numbers[~gone], ~gone
 
 
 @dataclass(frozen=True, eq=False)

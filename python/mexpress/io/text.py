@@ -93,8 +93,17 @@ class TextTable:
 
     def numbers(self, columns: Sequence[int]) -> Floats:
         """Return columns, NaN where there is no number; refuse text."""
-        table = self._at_once(columns)
-        return self._one_by_one(columns) if table is None else table
+        lines = [line for _, line in self.lines]
+        table = _loaded(lines, self.separator, columns) if self._is_even(lines) else None
+        if table is not None:
+            return table
+        rows = [[cells[k] for k in columns] for cells in (self._cells(*line) for line in self.lines)]
+        comma = any(_has_comma(cell) for row in rows for cell in row)
+        plain = ["\t".join("nan" if _is_nothing(cell) else cell for cell in row) for row in rows]
+        if comma and not any("." in line for line in plain):
+            plain = [line.replace(",", ".") for line in plain]
+        table = _loaded(plain, "\t", range(len(columns)))
+        return self._one_by_one(rows, "," if comma else ".") if table is None else table
 
     def place(self, row: int, column: int) -> str:
         """Say what is in a cell, and where that is."""
@@ -104,37 +113,26 @@ class TextTable:
     def _line(self, number: int) -> str:
         return f"line {number} of {self.where}"
 
-    def _at_once(self, columns: Sequence[int]) -> Floats | None:
-        """Read ten times as fast as one by one; None if there is anything to look at more closely."""
-        separator, more = self.separator, self.width - 1
-        lines = [line for _, line in self.lines]
-        if separator is None:
-            even = all(len(line.split()) == more + 1 for line in lines)
-        else:
-            even = all(line.count(separator) == more for line in lines)
-        if not even:
-            return None
-        try:
-            return np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2, usecols=list(columns))
-        except ValueError:
-            return None
+    def _is_even(self, lines: Sequence[str]) -> bool:
+        """Whether all lines have as many cells, as they are."""
+        if self.separator is None:
+            return all(len(line.split()) == self.width for line in lines)
+        return all(line.count(self.separator) == self.width - 1 for line in lines)
 
-    def _one_by_one(self, columns: Sequence[int]) -> Floats:
-        cells = [[row[k] for k in columns] for row in (self._cells(*line) for line in self.lines)]
-        mark = "," if any(_has_comma(cell) for row in cells for cell in row) else "."
+    def _one_by_one(self, rows: Sequence[Sequence[str]], mark: str) -> Floats:
         return np.array(
             [
                 [self._value(cell, mark, number) for cell in row]
-                for row, (number, _) in zip(cells, self.lines, strict=True)
+                for row, (number, _) in zip(rows, self.lines, strict=True)
             ]
         )
 
     def _value(self, cell: str, mark: str, number: int) -> float:
-        if _is_nothing(cell):
-            return np.nan
         # Not float's own grammar: it reads 1_000, and digits of any script.
         if _NUMBER.fullmatch(cell) and (mark != "," or "." not in cell):
             return float(cell)
+        if _is_nothing(cell):
+            return np.nan
         if mark == "," and _has_comma(cell):
             return float(cell.replace(",", "."))
         rule = "Cells must be numbers" + (" with the decimal comma that others have." if mark == "," else ".")
@@ -148,6 +146,14 @@ class TextTable:
             rule = f"A line must have {self.width} columns, as the first has."
             check.refuse(self.name, rule, f"{len(cells)} in {self._line(number)}")
         return cells
+
+
+def _loaded(lines: Sequence[str], separator: str | None, columns: Sequence[int]) -> Floats | None:
+    """Read columns ten times as fast as one by one; None if there is anything to look at more closely."""
+    try:
+        return np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2, usecols=list(columns))
+    except ValueError:
+        return None
 
 
 def read_text(path: Path, name: str) -> TextTable:
@@ -214,12 +220,14 @@ def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
     lines: list[tuple[int, str]] = []
     comment = ""
     for number, raw in enumerate(io.StringIO(text, newline=None), start=1):
-        line = raw.strip("\r\n ") if "\t" in raw else raw.strip()
+        line = raw.strip()
+        if line and "\t" in raw:  # which may stand for empty cells at the ends
+            line = raw.strip("\n ")
         if "#" in line:
             line = re.sub(r"\s#.*", "", line)
         if line.startswith(_COMMENTS):
             comment = comment if lines else line.lstrip("#%/ \t")
-        elif line.strip():
+        elif line:
             lines.append((number, line))
     return lines, comment
 
@@ -252,7 +260,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _has_comma(cell: str) -> bool:
-    return cell.count(",") == 1 and bool(_NUMBER.fullmatch(cell.replace(",", "."))) and "." not in cell
+    return "," in cell and "." not in cell and bool(_NUMBER.fullmatch(cell.replace(",", ".")))
 
 
 def _is_nothing(cell: str) -> bool:
