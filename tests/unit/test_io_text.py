@@ -4,9 +4,11 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from mexpress.io.clouds import read_cloud
-from mexpress.io.matches import read_matches
+from mexpress.io.matches import read_matches, read_points
 
 ROWS = np.array([[1.5, 2, 3, 4], [5, 6.25, 7, 8], [9, 10, 11, -12e-1]])
 
@@ -25,6 +27,8 @@ def text(separator=",", mark="."):
         text(" ").replace("\n", "\t#good\n"),
         text().replace("\n", ",left\n"),
         text(" ").replace("\n", " the left wall\n"),
+        text(" ").replace("\n", " the left wall\n", 1).replace("8.0\n", "8.0 door\n"),
+        "x1 y1 x2 y2 what\n" + text(" ").replace("\n", " the left wall\n"),
         text("\t").replace("\n", "\tthe left wall\n"),
         text("\t").replace("\n", "\t\n"),
         text().replace("\n", ",\n"),
@@ -95,6 +99,30 @@ def test_what_is_no_text(tmp_path, content):
 def test_words_for_nothing(tmp_path, word):
     (tmp_path / "c.csv").write_text(f"x,y,z\n1,2,3\n1,2,{word}\n4,5,6\n7,8,9\n5,5,5\n")
     assert read_cloud(tmp_path / "c.csv").n_missing == 1
+
+
+LINES = st.lists(st.text("019.,;-+\t \"'#%/xyzeNAn\r\n\0é", max_size=20), max_size=5).map("\n".join)
+
+
+@given(
+    st.one_of(st.binary(max_size=60), LINES.map(str.encode), LINES.map(lambda text: text.encode("utf-16")))
+)
+@example(b'"' + b"1" * 200_000 + b'",2,3,4')
+@example(b'1,2,3,"4')
+@example(b'"')
+def test_any_bytes_have_an_answer_or_an_error_of_ours(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("t") / "t.csv"
+    path.write_bytes(content)
+    calls = [
+        lambda: np.hstack(read_matches(path, missing="drop")),
+        lambda: read_points(path, columns=[1, 2], missing=["keep", 9]),
+        lambda: read_cloud(path, columns=["x", "1", "2"]).points,
+    ]
+    for call in calls:
+        try:
+            assert call().dtype == np.float64
+        except (ValueError, TypeError) as error:
+            assert str(error).startswith("Invalid ")  # noqa: PT017
 
 
 def test_standard_input(monkeypatch):

@@ -89,7 +89,7 @@ class TextTable:
 
     def words(self, column: int) -> list[str]:
         """Return a column as it is written."""
-        return [self._cells(number, line)[column] for number, line in self.lines]
+        return [self._cells(number, line, column)[column] for number, line in self.lines]
 
     def numbers(self, columns: Sequence[int]) -> Floats:
         """Return columns, NaN where there is no number; refuse text."""
@@ -97,7 +97,9 @@ class TextTable:
         table = _loaded(lines, self.separator, columns) if self._is_even(lines) else None
         if table is not None:
             return table
-        rows = [[cells[k] for k in columns] for cells in (self._cells(*line) for line in self.lines)]
+        rows = [
+            [cells[k] for k in columns] for cells in (self._cells(*line, max(columns)) for line in self.lines)
+        ]
         comma = any(_has_comma(cell) for row in rows for cell in row)
         plain = ["\t".join("nan" if _is_nothing(cell) else cell for cell in row) for row in rows]
         if comma and not any("." in line for line in plain):
@@ -108,7 +110,7 @@ class TextTable:
     def place(self, row: int, column: int) -> str:
         """Say what is in a cell, and where that is."""
         number, line = self.lines[row]
-        return f"{self._cells(number, line)[column]!r} in {self._line(number)}"
+        return f"{self._cells(number, line, column)[column]!r} in {self._line(number)}"
 
     def _line(self, number: int) -> str:
         return f"line {number} of {self.where}"
@@ -138,10 +140,11 @@ class TextTable:
         rule = "Cells must be numbers" + (" with the decimal comma that others have." if mark == "," else ".")
         check.refuse(self.name, rule, f"{cell!r} in {self._line(number)}")
 
-    def _cells(self, number: int, line: str) -> list[str]:
-        """Cut a line, which has as many cells as all, but for words of a label at its end."""
+    def _cells(self, number: int, line: str, last: int) -> list[str]:
+        """Cut a line, which has as many cells as all, but for words of a label behind the last column wanted."""
         cells = _split(line, self.separator)
-        labelled = self.separator is None and len(cells) > self.numeric.stop < self.width
+        fewest = self.width if self.names else max(self.numeric.stop, last + 1)
+        labelled = self.separator is None and len(cells) >= fewest and self.numeric.stop < self.width
         if len(cells) != self.width and not labelled:
             rule = f"A line must have {self.width} columns, as the first has."
             check.refuse(self.name, rule, f"{len(cells)} in {self._line(number)}")
@@ -237,7 +240,7 @@ def _separator(line: str) -> str | None:
 
 
 def _split(line: str, separator: str | None) -> list[str]:
-    if '"' in line:  # what is quoted may hold separators
+    if '"' in line and len(line) <= csv.field_size_limit():  # what is quoted may hold separators
         (cells,) = csv.reader([line], delimiter=separator or " ", skipinitialspace=True)
     else:
         cells = line.split(separator)

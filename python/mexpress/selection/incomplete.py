@@ -70,16 +70,23 @@ def complete_rows(missing: str, **arrays: ArrayLike | None) -> NDArray[np.bool_]
 
 
 def _finite_rows(array: ArrayLike, name: str) -> NDArray[np.bool_]:
-    numbers = check.real(np.ma.getdata(array), name)
+    numbers = check.real(_beneath(array), name)
     if numbers.ndim == 0:
         check.refuse(name, "It must be an array with a row for each datum.", check.describe(array))
-    there: NDArray[np.bool_] = np.isfinite(numbers) & ~np.ma.getmaskarray(np.ma.asarray(array))
+    there: NDArray[np.bool_] = np.isfinite(numbers)
+    if isinstance(array, np.ma.MaskedArray):
+        there &= ~np.ma.getmaskarray(array)
     return np.asarray(there.reshape(len(there), -1).all(axis=1))
 
 
 def those(array: Any, known: NDArray[np.bool_]) -> Any:
     """Return the rows that are known, if there is an array."""
-    return None if array is None else np.ma.getdata(array)[known]
+    return None if array is None else np.asarray(_beneath(array))[known]
+
+
+def _beneath(array: Any) -> Any:
+    """Return an array without its mask."""
+    return array.data if isinstance(array, np.ma.MaskedArray) else array
 
 
 def spread(array: Floats, known: NDArray[np.bool_]) -> Floats:
