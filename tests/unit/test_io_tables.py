@@ -40,6 +40,7 @@ def file(tmp_path):
         "xa,ya,xb,yb",
         "moving x,moving y,fixed x,fixed y",
         "x,y,x',y'",
+        "甲,乙,丙,丁",
         "a,b,c,d",
     ],
 )
@@ -215,6 +216,15 @@ def test_weights_by_number(file):
 def test_columns_that_are_refused(file, columns, says):
     with pytest.raises((ValueError, TypeError), match=rf"^Invalid columns\. .*{says}"):
         read_matches(file(text(ROWS, "a,b,c,d")), columns=columns)
+
+
+@pytest.mark.parametrize(
+    "arrays", [{"depth": np.ones((6, 6))}, {"points": np.eye(4, 2), "values": np.ones(4)}]
+)
+def test_columns_do_not_belong_to_arrays_with_names(tmp_path, arrays):
+    np.savez(tmp_path / "c.npz", **arrays)
+    with pytest.raises(ValueError, match=r"^Invalid columns\. They belong to a table\. Given .* for c\.npz"):
+        read_cloud(tmp_path / "c.npz", columns=[1, 2, 3])
 
 
 def test_columns_belong_to_tables(tmp_path):

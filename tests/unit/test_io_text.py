@@ -50,6 +50,12 @@ def test_texts_that_people_write(tmp_path, content):
     np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)
 
 
+def test_a_quoted_separator_does_not_make_up_for_a_missing_cell(tmp_path):
+    (tmp_path / "m.csv").write_text('name,x1,y1,x2,y2\n"A",1,2,3,4\n"B, 1, b",5,6\n')
+    with pytest.raises(ValueError, match=r"5 columns, as the first has\. Given 3 in line 3"):
+        read_matches(tmp_path / "m.csv")
+
+
 def test_a_comment_names_columns_in_another_order(tmp_path):
     np.savetxt(tmp_path / "m.csv", ROWS[:, ::-1], delimiter=",", header="y2,x2,y1,x1")
     np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)

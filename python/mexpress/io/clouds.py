@@ -335,6 +335,8 @@ def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
 
 
 def _from_archive(arrays: dict[str, NDArray[Any]], path: Path, told: _Told) -> tuple[_Map | _Points, Any]:
+    if arrays.keys() & {"depth", "values", "points3d"}:
+        _without_columns(path, told)
     for points, values in _PAIRS:
         if {points, values} <= arrays.keys():
             return _pair(arrays[points], arrays[values], points, values), None

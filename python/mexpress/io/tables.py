@@ -217,7 +217,7 @@ def _contradicts(table: Table, columns: Sequence[int], layout: Layout) -> bool:
 
 def _is_index(names: Sequence[str]) -> bool:
     """Whether the first column has no name, as row names that pandas and R write, among others that have."""
-    return len(names) > 1 and plain(names[0]) in {"", "unnamed0"} and bool(names[1])
+    return len(names) > 1 and names[0] in {"", "Unnamed: 0"} and bool(names[1])
 
 
 def _rule(layouts: Sequence[Layout]) -> str:

@@ -116,10 +116,11 @@ class TextTable:
         return f"line {number} of {self.where}"
 
     def _is_even(self, lines: Sequence[str]) -> bool:
-        """Whether all lines have as many cells, as they are."""
+        """Whether all lines have as many cells, none of which may hold a separator."""
         if self.separator is None:
             return all(len(line.split()) == self.width for line in lines)
-        return all(line.count(self.separator) == self.width - 1 for line in lines)
+        more = self.width - 1
+        return all(line.count(self.separator) == more and '"' not in line for line in lines)
 
     def _one_by_one(self, rows: Sequence[Sequence[str]], mark: str) -> Floats:
         return np.array(
