@@ -10,7 +10,7 @@ CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
 
 from importlib.metadata import version
 
-from mexpress import criteria, schemes
+from mexpress import criteria, io, schemes
 from mexpress.batch import map_problems
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
@@ -41,6 +41,7 @@ __all__ = [
     "cross_validate_nested",
     "fit_surface",
     "fit_warp",
+    "io",
     "load",
     "map_problems",
     "read_cloud",

@@ -58,14 +58,14 @@ def real(value: ArrayLike, name: str) -> Floats:
         return np.require(numbers, np.float64, ["C", "A"])
 
 
-def finite(array: Floats, name: str) -> Floats:
+def finite(array: Floats, name: str, rule: str = "Its entries must be finite.") -> Floats:
     """The array itself, if all entries are finite; the message names the first other entry."""
     rows = array.reshape(len(array), -1) if array.size else array.reshape(0, 1)
     place = _core.find_not_finite(rows)
     if place is not None:
         row, column = place
         where = f"row {row}" if array.ndim == 1 else f"row {row}, column {column}"
-        refuse(name, "Its entries must be finite.", f"{rows[place]} at {where}")
+        refuse(name, rule, f"{rows[place]} at {where}")
     return array
 
 
@@ -87,8 +87,10 @@ def columns(value: ArrayLike, name: str, rows: int) -> Floats:
 
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
-    """At least one finite point, (n, dimension); one to three coordinates if dimension is None."""
+    """At least one finite point, (n, dimension); one to three coordinates if dimension is None; (n, 1, 2) of OpenCV."""
     array = real(value, name)
+    if array.ndim == 3 and array.shape[1:] == (1, 2):
+        array = array[:, 0]
     if dimension is None and array.ndim == 2 and 1 <= array.shape[1] <= 3:
         dimension = array.shape[1]
     if array.ndim != 2 or array.shape[1] != dimension or len(array) == 0:

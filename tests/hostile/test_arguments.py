@@ -48,6 +48,7 @@ COVERED = {
     "cross_validate_nested",
     "fit_surface",
     "fit_warp",
+    "io",  # test_io_*.py
     "load",
     "map_problems",  # test_batch.py
     "read_cloud",  # test_surface_arguments.py and test_io_clouds.py

@@ -183,7 +183,7 @@ def test_bad_options_are_one_line(matches, run, tmp_path, options, says):
     [
         (None, "No such file"),
         ("", "Invalid matches"),
-        ("1,2,3\n", "line 1"),
+        ("1,2,3\n", "3 columns in m.csv"),
         ("1,2,3,4\n1,nan,3,4\n", "line 2"),
         ("1,2,3,4\n1,oops,3,4\n", "line 2"),
         ("1,2,3,4\n", "Invalid source"),
@@ -607,3 +607,86 @@ def test_notes_are_printed_with_options_and_written_with_arguments(run, tmp_path
     assert "--robust if matches may be wrong" in errors
     assert "--image-size SIZE." in errors
     assert "=" not in errors
+
+
+# Tables as people have them
+
+
+def written(path, table, header=""):
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.17g")
+    return path
+
+
+QUICK = (*PAPER, "--counts", "3:5", "--no-plots", "--quiet", "--out")
+MATCHES = np.hstack([SOURCE, TARGET])
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "options"),
+    [
+        ("id,src_x,src_y,dst_x,dst_y", [4, 0, 1, 2, 3], []),
+        ("dst_x,dst_y,src_x,src_y", [2, 3, 0, 1], []),
+        ("a,b,c,d,e,f", [0, 0, 1, 2, 3, 3], ["--columns", "2,3,4,5"]),
+        ("a,b,c,d,e,f", [0, 0, 1, 2, 3, 3], ["--columns", "b,c,d,e"]),
+        ("", [0, 0, 1, 2, 3, 3], ["--columns", "2,3,4,5"]),
+    ],
+)
+def test_columns_of_matches(run, tmp_path, header, columns, options):
+    table = np.column_stack([MATCHES, np.arange(80)])[:, columns]
+    path = written(tmp_path / "m.csv", table, header)
+    status, text, errors = run("warp", path, *options, *QUICK, tmp_path)
+    assert status == 0, errors
+    expected = mx.select_warp(SOURCE, TARGET, smoothing=0, counts=range(3, 6))
+    np.testing.assert_array_equal(mx.load(tmp_path / "warp.npz")(SOURCE), expected.warp(SOURCE))
+    assert text.startswith("80 matches")
+
+
+def test_columns_that_could_be_others_are_refused_in_one_line(run, tmp_path):
+    path = written(tmp_path / "m.csv", np.ones((9, 6)))
+    status, _, errors = run("warp", path, *QUICK, tmp_path)
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "(such as --columns 1,2,3,4). Given 6 columns in m.csv" in errors
+
+
+@pytest.mark.parametrize(
+    "options", [["--missing", "-9999"], ["--missing=-9999,65535"], ["--missing", "drop"]]
+)
+def test_matches_with_something_missing(run, tmp_path, options):
+    table = np.insert(MATCHES, 7, np.nan if "drop" in options else -9999, axis=0)
+    path = written(tmp_path / "m.csv", table)
+    status, text, errors = run("warp", path, *options, *QUICK, tmp_path)
+    assert status == 0, errors
+    assert text.startswith("80 matches")
+    expected = mx.select_warp(SOURCE, TARGET, smoothing=0, counts=range(3, 6))
+    np.testing.assert_array_equal(mx.load(tmp_path / "warp.npz")(SOURCE), expected.warp(SOURCE))
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["n_missing"] == 1
+
+
+def test_indices_are_of_the_rows_of_the_file(run, tmp_path):
+    wrong = MATCHES.copy()
+    wrong[20, 2:] += 60
+    path = written(tmp_path / "m.csv", np.insert(wrong, 7, -9999, axis=0))
+    options = ["--missing", "-9999", "--robust", "--quiet", "--out", tmp_path]
+    status, _, errors = run("warp", path, *options)
+    assert status == 0, errors
+    assert json.loads((tmp_path / "selection.json").read_text())["left_out"] == [21]
+    assert (tmp_path / "warp.png").stat().st_size > 10_000
+
+
+def test_standard_input(run, tmp_path, monkeypatch, model):
+    lines = b"id;x;y\n1;10,5;20\n2;30;40\n"
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+    status, text, errors = run("apply", model, "-")
+    assert status == 0, errors
+    rows = list(csv.DictReader(text.splitlines()))
+    expected = mx.load(model)([[10.5, 20], [30, 40]])
+    np.testing.assert_array_equal([[float(row["x"]), float(row["y"])] for row in rows], expected)
+
+
+def test_columns_of_points(run, tmp_path, model):
+    path = written(tmp_path / "p.csv", [[7, 20, 10], [8, 40, 30]], "id,y,x")
+    (_, text, _), (_, swapped, _) = run("apply", model, path), run("apply", model, path, "--columns", "2,3")
+    for written_text, points in ((text, [[10, 20], [30, 40]]), (swapped, [[20, 10], [40, 30]])):
+        row = next(csv.DictReader(written_text.splitlines()))
+        np.testing.assert_array_equal([float(row["x"]), float(row["y"])], mx.load(model)(points)[0])

@@ -90,18 +90,31 @@ def test_plain_arrays(tmp_path):
         ("", "which has none"),
         ("\n# nothing\n", "which has none"),
         ("x1,y1,x2,y2\n", "below its header"),
-        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\). Given 3 in line 1"),
+        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*\(such as --columns 1,2,3,4\)\. Given 3 columns in"),
+        ("1,2,3,4,5\n", r"Given 5 columns in"),
+        ("1,2,3,4,five,6,seven\n", r"Given 6 columns in m.csv, besides 'seven' in line 1"),
+        ("id,a,b,c\n1,2,3,4\n", r"Given 4 columns \(id, a, b, c\) in"),
+        ("x2,y2,x,y\n1,2,3,4\n", r"Given 4 columns \(x2, y2, x, y\) in"),
+        ("x0,y0,xa,ya,x1,y1,xb,yb\n1,2,3,4,5,6,7,8\n", "Given x0, y0, x1, y1 or xa, ya, xb, yb in"),
+        ("x1,y1,x2,y2,x1\n1,2,3,4,5\n", "Given x1 twice in"),
         ("1,2,3,4\n1,2,3,4,5\n", "5 in line 2"),
         ("1,2,3,4\n\n1,2,nan,4\n", "'nan' in line 3"),
         ("1,2,3,4\n1,2,-Inf,4\n", "'-Inf' in line 2"),
         ("1,2,3,4\n1,2,three,4\n", "'three' in line 2"),
-        ("1,2,x,4\n", "'x' in line 1"),
+        ("1,2,x,4\n", "numbers. Given 'x' in line 1"),
         ("1,2,3,4\n1,2,,4\n", "'' in line 2"),
         ("1,2,3,4\n1,2,1_000,4\n", "'1_000' in line 2"),
         ("1,2,3,4\n1,2,٣,4\n", "in line 2"),
         ("1,2,3,4\n1,2,1e999,4\n", "'1e999' in line 2"),
-        ("1;2,5;3;4\n", "'2,5' in line 1"),
-        ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns .* Given 4 in line 2"),
+        ("1;2,5;3;4\n1;2.5;3;4\n", "decimal comma that others have. Given '2.5' in line 2"),
+        ("1;2;3;4\n1.000,5;2;3;4\n", "'1.000,5' in line 2"),
+        ("1 2 3 4\n1 2 3 4 left\n", "4 columns, as the first has. Given 5 in line 2"),
+        ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns, as the first has. Given 4 in line 2"),
+        (
+            "x1,y1,x2,y2\n1,2,3,4\n1,2,,4\n",
+            "missing=\"drop\" .--missing drop. leaves out .* Given '' in line 3",
+        ),
+        ("x1,y1,x2,y2\n1,2,3,4\n1,2,NA,4\n", "'NA' in line 3"),
     ],
 )
 def test_texts_that_are_refused(tmp_path, text, says):
@@ -117,12 +130,14 @@ def test_texts_that_are_refused(tmp_path, text, says):
     [
         ({}, "no arrays"),
         ({"a": TABLE, "b": TABLE}, r"a \(3, 4\), b \(3, 4\)"),
-        ({"a": SOURCE}, r"a \(3, 2\)"),
-        ({"source": SOURCE}, r"source \(3, 2\)"),
+        ({"a": SOURCE}, r"2 columns in a in m\.npz of shape \(3, 2\)"),
+        ({"source": SOURCE}, r"2 columns in source in m\.npz of shape \(3, 2\)"),
         ({"source": SOURCE, "target": TARGET[:2]}, "2 for 3"),
         ({"source": SOURCE, "target": TARGET * np.nan}, "nan at row 0"),
         ({"matches": TABLE * np.inf}, "inf at row 0"),
         ({"matches": np.array([["1"] * 4])}, "real numbers"),
+        ({"matches": TABLE, "weights": np.ones(2)}, r"weights\. .*3 numbers.*\(2,\)"),
+        ({"a": np.ones((3, 5))}, r"--columns 1,2,3,4.*5 columns in a in m\.npz of shape \(3, 5\)"),
         ({"matches": np.array([[None] * 4])}, "arrays of numbers"),
     ],
 )
@@ -179,7 +194,8 @@ def test_weights_are_a_column_by_name(tmp_path):
 def test_weights_are_an_array_by_name(tmp_path, arrays):
     weights = np.array([1.0, 0.0, 2.0])
     np.savez(tmp_path / "m.npz", **arrays, weights=weights)
-    source, target, found = read_weighted_matches(tmp_path / "m.npz")
+    source, target, found, known = read_weighted_matches(tmp_path / "m.npz")
+    assert known.tolist() == [True] * 3
     np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
     np.testing.assert_array_equal(found, weights)
     np.savez(tmp_path / "m.npz", **arrays, sigma=weights)

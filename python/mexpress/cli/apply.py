@@ -13,6 +13,7 @@ from mexpress._validation import Floats
 from mexpress.cli import common
 from mexpress.geometry import inside
 from mexpress.io import matches
+from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
 from mexpress.models.warp import Warp
@@ -35,7 +36,13 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         type=Path,
         help="warp.npz of `mexpress warp`, or surface.npz of `mexpress surface`",
     )
-    add("points", metavar="POINTS", type=Path, help="text with columns x y, .npz or .npy")
+    add(
+        "points",
+        metavar="POINTS",
+        type=Path,
+        help="text with columns x y, .npz, .npy or .parquet; - is standard input",
+    )
+    common.add_table(parser, "x,y")
     add(
         "--inverse",
         action="store_true",
@@ -47,7 +54,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     model = files.load(arguments.model)
-    points = matches.read_points(arguments.points)
+    points = _read(arguments)
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
@@ -59,6 +66,16 @@ def _run(arguments: argparse.Namespace) -> None:
         common.warn_outside(model.domain, points, len(points), "the region of the data: the surface")
     else:
         check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
+
+
+def _read(arguments: argparse.Namespace) -> Floats:
+    """Read the points: a row of the result for each, NaN if something is missing, unless such rows are dropped."""
+    missing = arguments.missing or []
+    return matches.read_points(
+        arguments.points,
+        columns=arguments.columns,
+        missing=missing if DROP in missing else [*missing, KEEP],
+    )
 
 
 def _error(model: FittedModel, points: Floats) -> Floats | None:

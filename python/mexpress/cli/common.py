@@ -16,6 +16,7 @@ from mexpress._validation import Floats
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.io import matches
+from mexpress.io.missing import DROP
 from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
@@ -24,7 +25,17 @@ from mexpress.selection.queries import IMAGE
 
 
 class Parser(argparse.ArgumentParser):
-    """Errors are one line, without the usage."""
+    """Errors are one line, without the usage, and values may begin with a minus."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse words, of which those such as -9999,65535 and -3.4e38 are no options, as argparse would have it."""
+        words: list[str] = []
+        for word in sys.argv[1:] if args is None else args:
+            if re.match(r"-[.\d]", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
+                words[-1] += f"={word}"
+            else:
+                words.append(word)
+        return super().parse_known_args(words, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Raise `UsageError`."""
@@ -90,6 +101,27 @@ def add_run(parser: Parser) -> None:
     add("--quiet", action="store_true", help="show no progress")
 
 
+def add_table(parser: Parser, columns: str) -> None:
+    """Add the options that say what a table's columns are, such as `columns`, and what stands for no data."""
+    parser.add_argument(
+        "--columns",
+        type=_names,
+        metavar=columns.upper(),
+        help=f"which columns are {columns}: their names, or their numbers from 1 (default: by the header)",
+    )
+    parser.add_argument(
+        "--missing",
+        type=_missing,
+        metavar="V[,V...]|drop",
+        help="values that mean no data, such as -9999,65535; drop leaves out rows with empty cells or nan too",
+    )
+
+
+def table_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what the readers of tables take."""
+    return {"columns": arguments.columns, "missing": arguments.missing}
+
+
 def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what `select_warp` and `select_surface` both take."""
     names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads", "robust"
@@ -131,6 +163,15 @@ def _smoothing(text: str) -> float | list[float] | str:
             f"must be a weight, weights such as 0,10,100, or auto, not {text!r}"
         ) from None
     return weights[0] if len(weights) == 1 else weights
+
+
+def _missing(text: str) -> list[float | str]:
+    words = text.strip().lower().split(",")
+    try:
+        return [word if word == DROP else float(word) for word in words]
+    except ValueError:
+        message = f"must be numbers that mean no data, such as -9999,65535, or drop, not {text!r}"
+        raise argparse.ArgumentTypeError(message) from None
 
 
 def _names(text: str) -> list[str]:
@@ -216,10 +257,18 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
     return list(plots)
 
 
-def aside(selection: FittedSelection[Any]) -> Aside:
-    """Return what of the data is not in the fit."""
-    others = np.setdiff1d(np.arange(len(selection.data.points)), selection.kept)
-    return Aside(selection.left_out, np.setdiff1d(others, selection.left_out))
+def drawn(selection: FittedSelection[Any]) -> tuple[Floats, Floats, Aside]:
+    """Return the points and values of the data, without those that are missing, and what of them is not in the fit."""
+    data = selection.data
+    there = np.flatnonzero(np.isfinite(data.points).all(axis=1))
+    left_out, kept = (np.searchsorted(there, some) for some in (selection.left_out, selection.kept))
+    absent = np.setdiff1d(np.arange(len(there)), np.union1d(left_out, kept))
+    return data.points[there], data.values[there], Aside(left_out, absent)
+
+
+def missing_text(n_missing: int) -> str:
+    """Return what to say after a number of data of those that are not there."""
+    return f" ({n_missing} more are missing)" if n_missing else ""
 
 
 def sizes_summary(sizes: Floats) -> dict[str, float]:

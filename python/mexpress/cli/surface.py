@@ -35,9 +35,10 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "input",
         metavar="INPUT",
         type=Path,
-        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz or text with columns x y z "
-        "or u v x y z, and weight if there",
+        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz, .parquet or text with columns "
+        "x y z or u v x y z, and weight if there; - is standard input",
     )
+    common.add_table(parser, "x,y,z")
     add("--scale", type=float, metavar="S", help="a depth map's units per metre (default: 1000 for images)")
     add(
         "--intrinsics",
@@ -86,7 +87,13 @@ def _run(arguments: argparse.Namespace) -> None:
     most = None if arguments.all else arguments.data
     column = arguments.weights or arguments.sigma
     cloud = read_cloud(
-        arguments.input, arguments.scale, arguments.intrinsics, most, arguments.seed, weights=column
+        arguments.input,
+        arguments.scale,
+        arguments.intrinsics,
+        most,
+        arguments.seed,
+        column,
+        **common.table_options(arguments),
     )
     unit = arguments.unit or _unit(arguments, cloud)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -152,7 +159,7 @@ def _dimension(values: Floats) -> int:
 
 def _print(selection: SurfaceSelection, cloud: Cloud, unit: str | None, residuals: dict[str, float]) -> None:
     total = f" of {cloud.n_valid}" if cloud.n_valid > len(cloud.points) else ""
-    missing = f" ({cloud.n_missing} more are missing)" if cloud.n_missing else ""
+    missing = common.missing_text(cloud.n_missing)
     dimension, counts = _dimension(cloud.values), selection.counts
     one = "depths" if cloud.image_size else "values"
     kind = one if dimension == 1 else f"points in R^{dimension}"
@@ -179,13 +186,15 @@ def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[
 
 
 def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
-    surface, data = selection.surface, (selection.points, selection.values)
-    aside, kept = common.aside(selection), (data[0][selection.kept], data[1][selection.kept])
+    surface, (points, values, aside) = selection.surface, common.drawn(selection)
+    kept = selection.points[selection.kept], selection.values[selection.kept]
     more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
         "surface.png": lambda path: plotting.plot_surface(surface, *kept, path, **more),
-        "residuals.png": lambda path: plotting.plot_residuals(surface, *data, path, **more, aside=aside),
+        "residuals.png": lambda path: plotting.plot_residuals(
+            surface, points, values, path, **more, aside=aside
+        ),
         "control_points.png": lambda path: plotting.plot_control_points(selection, path, **more),
     }
     if _dimension(cloud.values) not in {1, 3}:

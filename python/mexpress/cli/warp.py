@@ -16,6 +16,7 @@ from mexpress.cli import common
 from mexpress.io import matches
 from mexpress.io.images import read_image
 from mexpress.selection import WarpSelection, select_warp
+from mexpress.selection.incomplete import DROP, spread
 from mexpress.selection.notes import failures
 
 _IMAGE_SIZE_HELP = (
@@ -38,8 +39,10 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "matches",
         metavar="MATCHES",
         type=Path,
-        help="text with columns x1 y1 x2 y2, and weight if there, .npz or .npy",
+        help="text with columns x1 y1 x2 y2, and weight if there, .npz, .npy, .parquet, or landmarks of QGIS or "
+        "BigWarp; - is standard input",
     )
+    common.add_table(parser, "x1,y1,x2,y2")
     add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
     add(
@@ -56,26 +59,30 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    source, target, column = matches.read_weighted_matches(
-        arguments.matches, arguments.weights or arguments.sigma
+    given = matches.read_weighted_matches(
+        arguments.matches, arguments.weights or arguments.sigma, **common.table_options(arguments)
     )
+    weights = common.as_weights(arguments, given.weights)
     images = _images(arguments)
     size = arguments.image_size
     if size is None and images:
         size = images[0].shape[1::-1]
     arguments.out.mkdir(parents=True, exist_ok=True)
+    # Among all rows of the file, so that indices are those of its rows.
     selection = select_warp(
-        source,
-        target,
+        spread(given.source, given.known),
+        spread(given.target, given.known),
         fractional=arguments.fractional,
         counts=arguments.counts,
         image_size=size,
-        weights=common.as_weights(arguments, column),
+        weights=None if weights is None else spread(weights, given.known),
+        missing=DROP,
         **common.selection_options(arguments),
     )
     health = _health(selection)
-    _print(selection, health)
-    more = {"n_matches": len(source), "image_size": size, "warp": health}
+    n_missing = int((~given.known).sum())
+    _print(selection, health, n_missing)
+    more = {"n_matches": len(given.source), "n_missing": n_missing, "image_size": size, "warp": health}
     written = common.write_selection(arguments, selection, more)
     selection.warp.save(arguments.out / "warp.npz")
     written += ["warp.npz", *common.draw(arguments, _plots(selection, images))]
@@ -108,14 +115,15 @@ def _health(selection: WarpSelection) -> dict[str, Any]:
     }
 
 
-def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
-    counts = selection.counts
+def _print(selection: WarpSelection, health: dict[str, Any], n_missing: int) -> None:
+    counts, n = selection.counts, len(selection.source) - n_missing
     form = "fractional " if health["fractional"] else ""
     tried = (
         f"{counts[0]} to {counts[-1]} control points" if len(counts) > 1 else f"{counts[0]} control points"
     )
     print(
-        f"{len(selection.source)} matches, {form}{health['lifting']} warps with {tried}; pixels; * smallest\n"
+        f"{n} matches{common.missing_text(n_missing)}, {form}{health['lifting']} warps with {tried}; pixels; "
+        "* smallest\n"
     )
     remark = "PRESS averages over the rows of the design, the others over the matches."
     common.print_selection(selection, remark if "PRESS" in selection.curves else "")
@@ -125,8 +133,7 @@ def _print(selection: WarpSelection, health: dict[str, Any]) -> None:
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
-    warp, source, target = selection.warp, selection.source, selection.target
-    aside = common.aside(selection)
+    warp, (source, target, aside) = selection.warp, common.drawn(selection)
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path),
         "warp.png": lambda path: plotting.plot_warp(warp, source, target, path, aside=aside),

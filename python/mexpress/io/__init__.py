@@ -3,10 +3,23 @@
 Examples
 --------
 >>> import tempfile
->>> from mexpress.io.matches import read_matches
 >>> with tempfile.TemporaryDirectory() as folder:
 ...     with open(f"{folder}/matches.csv", "w") as file:
 ...         print("1,2,3,4", file=file)
 ...     read_matches(f"{folder}/matches.csv")
 (array([[1., 2.]]), array([[3., 4.]]))
 """
+
+from mexpress.io.clouds import Cloud, read_cloud
+from mexpress.io.keypoints import matches_of
+from mexpress.io.matches import read_matches, read_points, read_weighted_matches, write_matches
+
+__all__ = [
+    "Cloud",
+    "matches_of",
+    "read_cloud",
+    "read_matches",
+    "read_points",
+    "read_weighted_matches",
+    "write_matches",
+]

@@ -9,7 +9,6 @@ Examples
 Cloud(48 of 48 data, depth, 8 x 6 pixels)
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +22,17 @@ from mexpress._validation import Floats, Integers
 from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.images import read_image
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
-from mexpress.io.text import read_text
+from mexpress.io.missing import Missing
+from mexpress.io.sources import Source, is_frame, read_table, where
+from mexpress.io.tables import UVXYZ, XYZ, ArrayTable, Table, choose, complete
 
 _IMAGES = {".png", ".tif", ".tiff", ".pgm"}
 _UNITS_PER_METRE = 1000.0
-_LAYOUTS = (("u", "v", "x", "y", "z"), ("x", "y", "z"))
 _PAIRS = (("points", "values"), ("uv", "points3d"))
 _TRIANGLES = {"face": {"vertex_indices": 3, "vertex_index": 3}}
-_SMALLEST_MAP = 6
-"""Arrays with fewer rows or columns are depth maps only if they are called so: they look like points."""
+_SMALLEST_MAP, _WIDEST_TABLE, _NARROW = 6, 10, 4
+"""Arrays with fewer rows or columns, or with at most so many columns and so many times more rows, are tables of points;
+depth maps of such a shape must be called so."""
 
 _FEWEST = 4
 
@@ -151,28 +152,45 @@ class _Points(NamedTuple):
         return self.points[chosen], self.values[chosen]
 
 
+class _Told(NamedTuple):
+    """What the caller tells of a table: the names or numbers of its columns and of the weights, what means no data."""
+
+    columns: Sequence[str | int] | None
+    weights: str | int | None
+    missing: Missing
+
+
 def read_cloud(
-    path: str | os.PathLike[str],
+    path: Source,
     scale: float | None = None,
     intrinsics: Sequence[float] | None = None,
     max_data: int | None = 10_000,
     seed: int | np.random.Generator | None = 0,
-    weights: str | None = None,
+    weights: str | int | None = None,
+    *,
+    columns: Sequence[str | int] | None = None,
+    missing: Any = None,
 ) -> Cloud:
     """Read a depth map or a point cloud.
 
     Parameters
     ----------
-    path : str or path
+    path : path or frame
         The ending tells what it is.
 
         * `.png`, `.tif`, `.tiff`, `.pgm`: a depth map, a number per pixel.
-        * `.npy`: an (n, 3) array x y z, an (n, 5) array u v x y z, or another 2-D array, from 6 x 6 on, which is
-          a depth map.
+        * `.npy`: an array with 3 to 5 columns, or with at most 10 and four times as many rows, is a table of points,
+          like one with fields; another 2-D array, from 6 x 6 on, is a depth map.
         * `.npz`: arrays `points` (n, 2) and `values`, (n,) or (n, d), or `uv` and `points3d`; or a depth map
           called `depth`; or one array as in `.npy`, called `points` if there are others besides single numbers.
         * `.ply`: the vertices' x y z, whatever else there is.
-        * Any other ending: text, a datum per line, x y z or u v x y z, as `read_matches` reads it.
+        * `.parquet`, frames of pandas and polars, and any other ending, which is text: a table, a datum per row, as
+          `mexpress.io.matches.read_matches` reads it.
+
+        A table has columns x y z or u v x y z if its header names them, in any order and among others; for x y, also
+        u v, lon lat, easting northing or col row, and for z depth, height, elevation or value. Without such names three
+        columns are x y z, and so are the first three of more in an `.xyz`; others need `columns`, since six may be
+        x y z with a colour or a normal, or u v x y z with a weight.
 
         A depth map gives data at its pixels, x the column and y the row, from 0; x y z is a depth z at x, y;
         u v x y z is a point of space for each point of the domain.
@@ -194,7 +212,12 @@ def read_cloud(
     weights : str, optional
         Name of the weights: a column that the first line of a text names, an array in an `.npz`, as large as the depth
         map or (n,), or a property of a `.ply`'s vertices. By default they are called `weight`, and `weights` in an
-        `.npz`, and a file need not have any. Data whose weight is NaN or infinite are missing.
+        `.npz`, and a file need not have any. Data whose weight is NaN or infinite are missing. In a table also the
+        number of the column, from 1.
+    columns : sequence of str or int, optional
+        The columns x y z or u v x y z of a table, by name or by number from 1.
+    missing : float, or sequence of float, optional
+        Numbers that mean no data, besides those that are not finite and cells that are empty or NA.
 
     Returns
     -------
@@ -223,16 +246,16 @@ def read_cloud(
     >>> cloud.points[:1], cloud.values[:1]
     (array([[0., 1.]]), array([[-1.75, -0.75,  2.  ]]))
     """
-    path = Path(path)
+    told = _Told(columns, weights, Missing.of(missing))
     scale = None if scale is None else check.positive(scale, "scale")
     camera = check.intrinsics(intrinsics)
     most = None if max_data is None else check.count(max_data, "max_data", _FEWEST)
     random = check.generator(seed)
-    source = _calibrated(_read(path, weights), scale, camera, path)
+    source = _calibrated(_read(path, told), scale, camera, where(path))
     valid = source.valid()
     if len(valid) < _FEWEST:
         rule = f"It must have {_FEWEST} data or more that are not missing."
-        check.refuse("cloud", rule, f"{len(valid)} of {source.total} in {path.name}")
+        check.refuse("cloud", rule, f"{len(valid)} of {source.total} in {where(path)}")
     chosen = valid
     if most is not None and most < len(valid):
         chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
@@ -244,46 +267,59 @@ def _calibrated(
     source: _Map | _Points,
     scale: float | None,
     intrinsics: tuple[float, float, float, float] | None,
-    path: Path,
+    place: str,
 ) -> _Map | _Points:
     if isinstance(source, _Map):
         return source._replace(scale=scale or source.scale, intrinsics=intrinsics)
     for name, value in (("scale", scale), ("intrinsics", intrinsics)):
         if value is not None:
-            check.refuse(name, "It belongs to a depth map.", f"{value} for the points in {path.name}")
+            check.refuse(name, "It belongs to a depth map.", f"{value} for the points in {place}")
     return source
 
 
-def _read(path: Path, column: str | None) -> _Map | _Points:
-    source, weights = _with_weights(path, column)
-    named_weights(weights, column, path)
+def _read(path: Source, told: _Told) -> _Map | _Points:
+    source, weights = _with_weights(path, told)
+    named_weights(weights, told.weights, where(path))
     if weights is None:
         return source
     rule = "There must be a weight for every datum."
     shares = check.real(weights, "weights")
     if shares.size != source.total or (shares.ndim > 1 and source.image_size != shares.shape[::-1]):
-        check.refuse("weights", rule, f"shape {shares.shape} in {path.name}")
+        check.refuse("weights", rule, f"shape {shares.shape} in {where(path)}")
     return source._replace(weights=shares.ravel())
 
 
-def _with_weights(path: Path, column: str | None) -> tuple[_Map | _Points, Any]:
+def _with_weights(source: Source, told: _Told) -> tuple[_Map | _Points, Any]:
     """Read data, and their weights, or None if the file does not have the column."""
-    ending = path.suffix.lower()
+    ending = "" if is_frame(source) else Path(source).suffix.lower()
     if ending in _IMAGES:
+        path = _without_columns(source, told)
         return _depth_map(read_image(path, "cloud"), path, _UNITS_PER_METRE), None
-    if ending in ARCHIVES:
-        arrays = read_arrays(path, "cloud")
-        weights = arrays.pop(column or WEIGHT_ARRAY, None)
-        return _from_archive(arrays, path), weights
-    name = (column or WEIGHT_COLUMN).lower()
     if ending == ".ply":
-        table, weights = _read_ply(path, column or WEIGHT_COLUMN)
-        return _from_columns(table, path), weights
-    named = [(*columns, name) for columns in _LAYOUTS]
-    table = read_text(path, "cloud", _LAYOUTS, missing=True, named=named)
-    if table.shape[1] % 2 == 0:  # one column more than a layout
-        return _from_columns(table[:, :-1], path), table[:, -1]
-    return _from_columns(table, path), None
+        path = _without_columns(source, told)
+        table, weights = _read_ply(path, str(told.weights or WEIGHT_COLUMN))
+        return _Points(table[:, :2], table[:, 2]), weights
+    if ending in ARCHIVES:
+        arrays = read_arrays(Path(source), "cloud")
+        weights = arrays.pop(str(told.weights or WEIGHT_ARRAY), None)
+        points, shares = _from_archive(arrays, Path(source), told)
+        return points, shares if weights is None else weights
+    return _from_table(read_table(source, "cloud"), told, first=ending == ".xyz")
+
+
+def _without_columns(source: Source, told: _Told) -> Path:
+    if told.columns is not None:
+        check.refuse("columns", "They belong to a table.", f"{told.columns} for {where(source)}")
+    return Path(source)
+
+
+def _from_table(table: Table, told: _Told, *, first: bool = False, more: str = "") -> tuple[_Points, Any]:
+    weight = WEIGHT_COLUMN if told.weights is None else told.weights
+    choice = choose(table, [UVXYZ, XYZ], told.columns, weight, first=first, more=more)
+    numbers, _ = complete(table, choice.all, Missing(told.missing.values, keep=True))
+    d = len(choice.columns)
+    points = _Points(numbers[:, :2], numbers[:, 2] if d == 3 else numbers[:, 2:d])
+    return points, None if choice.weight is None else numbers[:, d]
 
 
 def _have_weight(weights: Floats | None) -> NDArray[np.bool_] | bool:
@@ -298,22 +334,33 @@ def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
     return _Map(raw, 1.0 if raw.dtype.kind == "f" else units)
 
 
-def _from_archive(arrays: dict[str, NDArray[Any]], path: Path) -> _Map | _Points:
+def _from_archive(arrays: dict[str, NDArray[Any]], path: Path, told: _Told) -> tuple[_Map | _Points, Any]:
+    if arrays.keys() & {"depth", "values", "points3d"}:
+        _without_columns(path, told)
     for points, values in _PAIRS:
         if {points, values} <= arrays.keys():
-            return _pair(arrays[points], arrays[values], points, values)
+            return _pair(arrays[points], arrays[values], points, values), None
     if "depth" in arrays:
-        return _depth_map(arrays["depth"], path)
+        return _depth_map(arrays["depth"], path), None
     if "points" in arrays:
-        return _from_columns(arrays["points"], path)
-    tables = [array for array in arrays.values() if array.ndim > 0]
-    if len(tables) != 1:
+        return _from_table(ArrayTable.of(arrays["points"], path.name, "cloud"), told)
+    several = [array for array in arrays.values() if array.ndim > 0]
+    if len(several) != 1:
         rule = "An archive must hold points and values, depth, or one array of x y z or u v x y z."
         there = ", ".join(f"{key} {arrays[key].shape}" for key in arrays) or "no arrays"
         check.refuse("cloud", rule, f"{there} in {path.name}")
-    if tables[0].ndim == 2 and min(tables[0].shape) < _SMALLEST_MAP:
-        return _from_columns(tables[0], path)
-    return _depth_map(tables[0], path)
+    (array,) = several
+    if told.columns is None and not _is_table(array):
+        return _depth_map(array, path), None
+    more = " A depth map of this shape must be called depth, in an .npz."
+    return _from_table(ArrayTable.of(array, path.name, "cloud"), told, more=more)
+
+
+def _is_table(array: NDArray[Any]) -> bool:
+    if array.ndim != 2:
+        return bool(array.dtype.names)
+    rows, columns = map(int, array.shape)
+    return min(rows, columns) < _SMALLEST_MAP or (columns <= _WIDEST_TABLE and rows >= _NARROW * columns)
 
 
 def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_name: str) -> _Points:
@@ -324,14 +371,6 @@ def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_n
         rule = f"It must have shape ({len(points)},) or ({len(points)}, d)."
         check.refuse(values_name, rule, f"shape {values.shape}")
     return _Points(points, values)
-
-
-def _from_columns(array: NDArray[Any], path: Path) -> _Points:
-    table = check.real(array, "cloud")
-    if table.ndim != 2 or table.shape[1] not in (3, 5):
-        rule = "Points must have 3 columns (x, y, z) or 5 (u, v, x, y, z)."
-        check.refuse("cloud", rule, f"shape {table.shape} in {path.name}")
-    return _Points(table[:, :2], table[:, 2] if table.shape[1] == 3 else table[:, 2:])
 
 
 def _read_ply(path: Path, weight: str) -> tuple[Floats, Any]:

@@ -1,4 +1,4 @@
-"""Files of matches and of points: text with numbers in columns, and numpy's archives.
+"""Matches and points from files and frames, and into files.
 
 Examples
 --------
@@ -10,37 +10,63 @@ x,y
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.io.archives import ARCHIVES, read_arrays
-from mexpress.io.text import read_text
-
-MATCH_COLUMNS = ("x1", "y1", "x2", "y2")
-POINT_COLUMNS = ("x", "y")
+from mexpress.io.archives import read_arrays
+from mexpress.io.keypoints import index_pairs
+from mexpress.io.landmarks import landmarks
+from mexpress.io.missing import Missing
+from mexpress.io.sources import Source, is_frame, read_table
+from mexpress.io.tables import MATCHES, POINTS, ArrayTable, Table, choose, complete, find
 
 WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
 """What weights are called in a text and in an archive, unless a name is given."""
 
-Path_ = str | os.PathLike[str]
+
+class WeightedMatches(NamedTuple):
+    """Matched points (n, 2) of two images, their weights (n,) or None, and which rows of the file these are."""
+
+    source: Floats
+    target: Floats
+    weights: Floats | None
+    known: NDArray[np.bool_]
 
 
-def read_matches(path: Path_) -> tuple[Floats, Floats]:
+def read_matches(
+    path: Source, *, columns: Sequence[str | int] | None = None, missing: Any = None
+) -> tuple[Floats, Floats]:
     """Read matched points of two images.
 
     Parameters
     ----------
-    path : str or path
-        Text: a match per line, x1 y1 x2 y2 in pixels, separated by commas, semicolons, tabs or blanks. Empty
-        lines and those that begin with # are skipped. The first line may name the columns; if it names x1,
-        y1, x2 and y2 they are found by name, in any order and among others. Or `.npz`: arrays `source` and
-        `target`, (n, 2) each, or one (n, 4) array, which is named `matches` or `tentative` if there are
-        others. Or `.npy`: one (n, 4) array.
+    path : path or frame
+        Where they are: a row per match, with columns x1 y1 x2 y2 in pixels.
+
+        * Text: cells separated by commas, semicolons, tabs or blanks, in UTF-8, UTF-16 or Latin-1; with decimal commas
+          unless these separate. Lines that begin with #, % or // are comments, and so is what follows a blank and #.
+          Words before and after the numbers are labels. "-" is standard input.
+        * `.npy`: one (n, 4) array, or one with fields. `.npz`: arrays `source` and `target`, (n, 2) each; or one
+          array as in `.npy`, which is named `matches` or `tentative` if there are others; or those of a matcher,
+          `keypoints0`, `keypoints1`, and `matches` or `matches0`, see `mexpress.io.keypoints.matches_of`.
+        * `.parquet`, with the extra ``parquet``.
+        * A frame of pandas or polars.
+        * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
+          y that is negative below their upper edge; its sign is changed, so that the source has y downwards.
+
+        A header finds the columns in any order and among others, by these names or by those such as src_x, sourceX,
+        x_left, u0, moving_x. Columns of no known name must be four.
+    columns : sequence of str or int, optional
+        The four columns, by name or by number from 1, as they are.
+    missing : float, "drop", "keep", or a sequence of these, optional
+        Numbers that mean no data: their rows are left out. "drop" also leaves out rows with cells that are empty, NA,
+        NaN or infinite, which otherwise are an error; "keep" keeps all rows, those with something missing as NaN.
 
     Returns
     -------
@@ -49,8 +75,10 @@ def read_matches(path: Path_) -> tuple[Floats, Floats]:
 
     Raises
     ------
-    ValueError
-        If the file holds no matches, or a cell is no finite number; the message names the line.
+    ValueError, TypeError
+        If it is not clear which columns are meant, or a cell is no finite number; the message names its line.
+    ImportError
+        If the file needs an extra that is not installed.
     OSError
         If the file cannot be read.
 
@@ -58,38 +86,44 @@ def read_matches(path: Path_) -> tuple[Floats, Floats]:
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_matches(f"{folder}/matches.csv", [[0, 1], [2, 3]], [[10, 11], [12, 13.5]])
-    ...     read_matches(f"{folder}/matches.csv")[1]
-    array([[10. , 11. ],
-           [12. , 13.5]])
+    ...     with open(f"{folder}/matches.csv", "w") as file:
+    ...         print("id;src_x;src_y;dst_x;dst_y", file=file)
+    ...         print("7;0,5;1;10;11", file=file)
+    ...         print("8;2;;12;13", file=file)
+    ...     read_matches(f"{folder}/matches.csv", missing="drop")
+    (array([[0.5, 1. ]]), array([[10., 11.]]))
     """
-    path = Path(path)
-    if path.suffix.lower() not in ARCHIVES:
-        return _halves(read_text(path, "matches", [MATCH_COLUMNS]))
-    return _from_archive(read_arrays(path, "matches"), path)
+    return read_weighted_matches(path, columns=columns, missing=missing)[:2]
 
 
-def read_weighted_matches(path: Path_, column: str | None = None) -> tuple[Floats, Floats, Floats | None]:
+def read_weighted_matches(
+    path: Source,
+    column: str | int | None = None,
+    *,
+    columns: Sequence[str | int] | None = None,
+    missing: Any = None,
+) -> WeightedMatches:
     """Read matched points of two images, and their weights if the file has some.
 
     Parameters
     ----------
-    path : str or path
+    path : path or frame
         As for `read_matches`.
-    column : str, optional
-        Name of the weights: of a column that the first line of a text names, or of an (n,) array in an `.npz`. By
-        default they are called `weight` in a text and `weights` in an `.npz`, and a file need not have any.
+    column : str or int, optional
+        Name of the weights: of a column, or its number from 1, or of an array in an `.npz`. By default they are called
+        `weight` in a table and `weights` in an `.npz`, and a file need not have any.
+    columns, missing
+        As for `read_matches`.
 
     Returns
     -------
-    source, target : ndarray, (n, 2)
-        Matched points.
-    weights : ndarray, (n,), or None
-        Their weights.
+    WeightedMatches
+        `source` and `target`, (n, 2), `weights`, (n,) or None, and `known`, (rows,): which rows of the file these are,
+        since some may be left out.
 
     Raises
     ------
-    ValueError, OSError
+    ValueError, TypeError, ImportError, OSError
         As in `read_matches`, or if the file has no column of a given name.
 
     Examples
@@ -100,57 +134,95 @@ def read_weighted_matches(path: Path_, column: str | None = None) -> tuple[Float
     ...         print("x1,y1,x2,y2,score", file=file)
     ...         print("1,2,3,4,0.9", file=file)
     ...     read_weighted_matches(f"{folder}/matches.csv", "score")
-    (array([[1., 2.]]), array([[3., 4.]]), array([0.9]))
+    WeightedMatches(source=array([[1., 2.]]), target=array([[3., 4.]]), weights=array([0.9]), known=array([ True]))
     """
-    path = Path(path)
-    if path.suffix.lower() not in ARCHIVES:
-        named = (*MATCH_COLUMNS, (column or WEIGHT_COLUMN).lower())
-        table = read_text(path, "matches", [MATCH_COLUMNS], named=[named])
-        weights = table[:, 4].copy() if table.shape[1] > len(MATCH_COLUMNS) else None
-        return *_halves(table), named_weights(weights, column, path)
-    arrays = read_arrays(path, "matches")
-    weights = named_weights(arrays.pop(column or WEIGHT_ARRAY, None), column, path)
-    source, target = _from_archive(arrays, path)
-    return source, target, None if weights is None else check.real(weights, "weights")
+    table, weight = _match_table(path, column)
+    told = Missing.of(missing)
+    marked = landmarks(table) if columns is None else None
+    if marked:
+        shares = find(table, weight)
+        chosen = marked.columns if shares is None else [*marked.columns, shares]
+        numbers, known = complete(table, chosen, told, marked.off)
+        numbers[:, :4] *= marked.signs
+    else:
+        numbers, known = complete(table, choose(table, [MATCHES], columns, weight).all, told)
+    weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
+    named_weights(weights, column, table.where)
+    return WeightedMatches(numbers[:, :2].copy(), numbers[:, 2:4].copy(), weights, known)
 
 
-def named_weights(weights: Any, column: str | None, path: Path) -> Any:
+def named_weights(weights: Any, column: str | int | None, where: str) -> Any:
     """Return weights that were found, or None; refuse the name of a column that was not.
 
     Examples
     --------
-    >>> named_weights(None, None, Path("matches.csv"))
+    >>> named_weights(None, None, "matches.csv")
     """
     if weights is None and column is not None:
-        rule = "The first line of a text, or an archive, must have this name."
-        check.refuse("weights", rule, f"{column!r}, which is not in {path.name}")
+        rule = "The header of a table, or an archive, must have this name."
+        check.refuse("weights", rule, f"{column!r}, which is not in {where}")
     return weights
 
 
-def _halves(table: Floats) -> tuple[Floats, Floats]:
-    return table[:, :2].copy(), table[:, 2:4].copy()
+def _match_table(source: Source, column: str | int | None) -> tuple[Table, str | int]:
+    """Return a table with the matches, and what the weights are called there."""
+    if is_frame(source) or Path(source).suffix.lower() != ".npz":
+        return read_table(source, "matches"), WEIGHT_COLUMN if column is None else column
+    path, weight = Path(source), WEIGHT_ARRAY if column is None else column
+    arrays = read_arrays(path, "matches")
+    weights = arrays.pop(str(weight), None)
+    given, shares = _from_archive(arrays, weights, path)
+    if shares is None:
+        return given, weight
+    if shares.shape != (len(given.arrays[0]),):
+        rule = f"They must be {len(given.arrays[0])} numbers, one for each match."
+        check.refuse("weights", rule, f"shape {shares.shape} in {path.name}")
+    names = given.names or [f"column{k}" for k in range(1, given.width + 1)]
+    return replace(given, names=[*names, str(weight)], arrays=[*given.arrays, shares]), weight
 
 
-def _from_archive(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Floats, Floats]:
+def _from_archive(
+    arrays: dict[str, NDArray[Any]], weights: NDArray[Any] | None, path: Path
+) -> tuple[ArrayTable, NDArray[Any] | None]:
+    """Return the matches among arrays, and the weights of these."""
+    pairing = next((key for key in ("matches", "matches0") if key in arrays), None)
+    if {"keypoints0", "keypoints1"} <= arrays.keys() and pairing:
+        first, second = (_two_columns(arrays[name], name) for name in ("keypoints0", "keypoints1"))
+        pairs = index_pairs(arrays[pairing], len(first), len(second))
+        if weights is not None and arrays[pairing].ndim == 1:  # one for each keypoint, matched or not
+            weights = weights[pairs[:, 0]]
+        return _side_by_side(first[pairs[:, 0]], second[pairs[:, 1]], path), weights
     if {"source", "target"} <= arrays.keys():
-        source, target = (check.points(arrays[name], name) for name in ("source", "target"))
+        source, target = (_two_columns(arrays[name], name) for name in ("source", "target"))
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)} in {path.name}")
-        return source, target
+        return _side_by_side(source, target, path), weights
     what = "arrays source and target, (n, 2), or one (n, 4) array (among several: matches)"
-    rule = f"{path.name} must hold {what}."
-    return _halves(check.points(_the_array(arrays, ("matches", "tentative"), 4, rule), "matches", 4))
+    return _the_array(arrays, ("matches", "tentative"), path, f"{path.name} must hold {what}."), weights
 
 
-def read_points(path: Path_) -> Floats:
+def _side_by_side(source: Floats, target: Floats, path: Path) -> ArrayTable:
+    return ArrayTable(path.name, "matches", MATCHES.columns, [*source.T, *target.T])
+
+
+def _two_columns(array: NDArray[Any], name: str) -> Floats:
+    numbers = check.real(array, name)
+    if numbers.ndim != 2 or numbers.shape[1] != 2:
+        check.refuse(name, "It must be points of shape (n, 2).", f"shape {numbers.shape}")
+    return numbers
+
+
+def read_points(path: Source, *, columns: Sequence[str | int] | None = None, missing: Any = None) -> Floats:
     """Read points.
 
     Parameters
     ----------
-    path : str or path
-        As `read_matches` has it, with two columns: x and y. An `.npz` holds one (n, 2) array, named `points`
-        if there are others.
+    path : path or frame
+        As `read_matches` has it, with two columns: x and y. An `.npz` holds one (n, 2) array, named `points` if there
+        are others.
+    columns, missing
+        As for `read_matches`; here there are two columns.
 
     Returns
     -------
@@ -159,7 +231,7 @@ def read_points(path: Path_) -> Floats:
 
     Raises
     ------
-    ValueError, OSError
+    ValueError, TypeError, ImportError, OSError
         As in `read_matches`.
 
     Examples
@@ -167,21 +239,22 @@ def read_points(path: Path_) -> Floats:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open(f"{folder}/points.txt", "w") as file:
-    ...         print("1 2", file=file)
-    ...         print("3 4.5", file=file)
+    ...         print("1 2 left", file=file)
+    ...         print("3 4.5 right", file=file)
     ...     read_points(f"{folder}/points.txt")
     array([[1. , 2. ],
            [3. , 4.5]])
     """
-    path = Path(path)
-    if path.suffix.lower() not in ARCHIVES:
-        return read_text(path, "points", [POINT_COLUMNS])
-    arrays = read_arrays(path, "points")
-    rule = f"{path.name} must hold one (n, 2) array (among several: points)."
-    return check.points(_the_array(arrays, ("points",), 2, rule), "points")
+    if is_frame(path) or Path(path).suffix.lower() != ".npz":
+        table = read_table(path, "points")
+    else:
+        path = Path(path)
+        rule = f"{path.name} must hold one (n, 2) array (among several: points)."
+        table = _the_array(read_arrays(path, "points"), ("points",), path, rule)
+    return complete(table, choose(table, [POINTS], columns).columns, Missing.of(missing))[0]
 
 
-def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
+def write_matches(path: str | os.PathLike[str], source: ArrayLike, target: ArrayLike) -> None:
     """Write matches as text that `read_matches` reads, bit for bit.
 
     Parameters
@@ -201,10 +274,10 @@ def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
     """
     rows = np.column_stack([check.points(source, "source"), check.points(target, "target")])
     with Path(path).open("w", encoding="utf-8", newline="\n") as file:
-        write_rows(file, MATCH_COLUMNS, rows.tolist())
+        write_rows(file, MATCHES.columns, rows.tolist())
 
 
-def write_points_csv(file: TextIO, points: Floats, columns: Sequence[str] = POINT_COLUMNS) -> None:
+def write_points_csv(file: TextIO, points: Floats, columns: Sequence[str] = POINTS.columns) -> None:
     """Write points as comma-separated text, with as many digits as reading them back needs.
 
     Parameters
@@ -233,11 +306,11 @@ def write_rows(file: TextIO, columns: Sequence[str], rows: Iterable[Sequence[obj
     file.writelines(",".join(map(str, row)) + "\n" for row in rows)
 
 
-def _the_array(arrays: dict[str, NDArray[Any]], known: Sequence[str], width: int, rule: str) -> NDArray[Any]:
+def _the_array(arrays: dict[str, NDArray[Any]], known: Sequence[str], path: Path, rule: str) -> ArrayTable:
     """Return the array that has a known name, or the only one."""
     named = [key for key in known if key in arrays] or list(arrays)
-    shaped = [key for key in named if arrays[key].ndim == 2 and arrays[key].shape[1] == width]
-    if len(named) != 1 or len(shaped) != 1:
+    if len(named) != 1:
         there = ", ".join(f"{key} {arrays[key].shape}" for key in arrays) or "no arrays"
         check.refuse(known[0], rule, there)
-    return arrays[named[0]]
+    (key,) = named
+    return ArrayTable.of(arrays[key], f"{key} in {path.name}", known[0])

@@ -1,79 +1,179 @@
-"""Numbers in columns, as text that people write.
+"""Tables in text as people and programs write it.
+
+Separators are semicolons, tabs, commas or blanks; comments begin with #, % or //. Cells that are empty, or NA, are
+missing. Decimal commas are read unless commas separate the cells.
 
 Examples
 --------
 >>> import tempfile
 >>> with tempfile.TemporaryDirectory() as folder:
 ...     with open(f"{folder}/points.txt", "w") as file:
-...         print("x;y", file=file)
-...         print("1;2", file=file)
-...     read_text(Path(f"{folder}/points.txt"), "points", [("x", "y")])
-array([[1., 2.]])
+...         print("name;x;y", file=file)
+...         print("door;1,5;NA", file=file)
+...     table = read_text(Path(f"{folder}/points.txt"), "points")
+>>> table.names, table.numbers([1, 2])
+(['name', 'x', 'y'], array([[1.5, nan]]))
 """
 
+import codecs
+import csv
+import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.caching import cached_property
+from mexpress.io.tables import between_labels
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
+_NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
+_COMMENTS = ("#", "%", "//")
+_BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+STANDARD_INPUT = "-"
+"""Name of the file that is read from there."""
 
 
-class _Layout(NamedTuple):
-    """What the first line says of all: is it a header, how many columns are there, and which ones to take."""
+@dataclass(frozen=True, eq=False)
+class TextTable:
+    """A table in text: its lines, cut into cells where they are read.
 
-    header: bool
-    width: int
-    chosen: list[int]
-    candidates: Sequence[Sequence[str]]
+    Parameters
+    ----------
+    where : str
+        Name of the file.
+    name : str
+        What messages call what is read.
+    names : list of str
+        Names of the columns, none without a header.
+    lines : list of (int, str)
+        Number and text of every line below the header.
+    separator : str or None
+        What is between cells; None for blanks.
+    """
 
-    def rule(self) -> str:
-        """Say what a line must have; a single candidate may be among other columns."""
-        if len(self.candidates) == 1:
-            return f"A line must have {self.width} columns ({', '.join(self.candidates[0])})."
-        choices = (f"{len(columns)} columns ({', '.join(columns)})" for columns in self.candidates)
-        return f"A line must have {' or '.join(choices)}."
+    where: str
+    name: str
+    names: list[str]
+    lines: list[tuple[int, str]]
+    separator: str | None
+
+    @property
+    def first(self) -> list[str]:
+        """Cells of the first row."""
+        return _split(self.lines[0][1], self.separator)
+
+    @cached_property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.names or self.first)
+
+    @cached_property
+    def numeric(self) -> range:
+        """The columns between those that are no numbers, at either end."""
+        names = self.names or [""] * self.width
+        cells = zip(self.first, names, strict=False)
+        return between_labels(
+            [not (_is_number(cell) or (_is_nothing(cell) and (cell or name))) for cell, name in cells]
+        )
+
+    def words(self, column: int) -> list[str]:
+        """Return a column as it is written."""
+        return [self._cells(number, line, column)[column] for number, line in self.lines]
+
+    def numbers(self, columns: Sequence[int]) -> Floats:
+        """Return columns, NaN where there is no number; refuse text."""
+        lines = [line for _, line in self.lines]
+        table = _loaded(lines, self.separator, columns) if self._is_even(lines) else None
+        if table is not None:
+            return table
+        rows = [
+            [cells[k] for k in columns] for cells in (self._cells(*line, max(columns)) for line in self.lines)
+        ]
+        comma = any(_has_comma(cell) for row in rows for cell in row)
+        plain = ["\t".join("nan" if _is_nothing(cell) else cell for cell in row) for row in rows]
+        if comma and not any("." in line for line in plain):
+            plain = [line.replace(",", ".") for line in plain]
+        table = _loaded(plain, "\t", range(len(columns)))
+        return self._one_by_one(rows, "," if comma else ".") if table is None else table
+
+    def place(self, row: int, column: int) -> str:
+        """Say what is in a cell, and where that is."""
+        number, line = self.lines[row]
+        return f"{self._cells(number, line, column)[column]!r} in {self._line(number)}"
+
+    def _line(self, number: int) -> str:
+        return f"line {number} of {self.where}"
+
+    def _is_even(self, lines: Sequence[str]) -> bool:
+        """Whether all lines have as many cells, none of which may hold a separator."""
+        if self.separator is None:
+            return all(len(line.split()) == self.width for line in lines)
+        more = self.width - 1
+        return all(line.count(self.separator) == more and '"' not in line for line in lines)
+
+    def _one_by_one(self, rows: Sequence[Sequence[str]], mark: str) -> Floats:
+        return np.array(
+            [
+                [self._value(cell, mark, number) for cell in row]
+                for row, (number, _) in zip(rows, self.lines, strict=True)
+            ]
+        )
+
+    def _value(self, cell: str, mark: str, number: int) -> float:
+        # Not float's own grammar: it reads 1_000, and digits of any script.
+        if _NUMBER.fullmatch(cell) and (mark != "," or "." not in cell):
+            return float(cell)
+        if _is_nothing(cell):
+            return np.nan
+        if mark == "," and _has_comma(cell):
+            return float(cell.replace(",", "."))
+        rule = "Cells must be numbers" + (" with the decimal comma that others have." if mark == "," else ".")
+        check.refuse(self.name, rule, f"{cell!r} in {self._line(number)}")
+
+    def _cells(self, number: int, line: str, last: int) -> list[str]:
+        """Cut a line, which has as many cells as all, but for words of a label behind the last column wanted."""
+        cells = _split(line, self.separator)
+        fewest = self.width if self.names else max(self.numeric.stop, last + 1)
+        labelled = self.separator is None and len(cells) >= fewest and self.numeric.stop < self.width
+        if len(cells) != self.width and not labelled:
+            rule = f"A line must have {self.width} columns, as the first has."
+            check.refuse(self.name, rule, f"{len(cells)} in {self._line(number)}")
+        return cells
 
 
-def read_text(
-    path: Path,
-    name: str,
-    layouts: Sequence[Sequence[str]],
-    *,
-    missing: bool = False,
-    named: Sequence[Sequence[str]] = (),
-) -> Floats:
-    """Read lines of numbers, separated by commas, semicolons, tabs or blanks.
+def _loaded(lines: Sequence[str], separator: str | None, columns: Sequence[int]) -> Floats | None:
+    """Read columns ten times as fast as one by one; None if there is anything to look at more closely."""
+    try:
+        return np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2, usecols=list(columns))
+    except ValueError:
+        return None
+
+
+def read_text(path: Path, name: str) -> TextTable:
+    """Read a table in a text, whatever its encoding, separator and comments are.
 
     Parameters
     ----------
     path : path
-        Name of the file. Empty lines and those that begin with # are skipped.
+        Name of the file; "-" is standard input.
     name : str
-        What messages call it.
-    layouts : sequence of sequences of str
-        Names of the columns; the alternatives differ in their number. If the first line names all columns of
-        one of them, the first such is taken and its columns are found by name, else the number of columns
-        decides.
-    missing : bool
-        Whether cells may be NaN or infinite.
-    named : sequence of sequences of str
-        Layouts that come before the others, but only if the first line names all of their columns.
-
-    Returns
-    -------
-    ndarray, (n, columns of the layout)
-        The numbers.
+        What messages call what is read.
 
     Raises
     ------
     ValueError
-        If there are none, or a cell is no number; the message names the line.
+        If there is no text, or no line below a header.
     OSError
         If the file cannot be read.
 
@@ -81,85 +181,91 @@ def read_text(
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with open(f"{folder}/cloud.csv", "w") as file:
-    ...         print("time,z,x,y", file=file)
-    ...         print("noon,3,1,2", file=file)
-    ...     read_text(Path(f"{folder}/cloud.csv"), "cloud", [("u", "v", "x", "y", "z"), ("x", "y", "z")])
-    array([[1., 2., 3.]])
+    ...     with open(f"{folder}/cloud.xyz", "w") as file:
+    ...         print("// X Y Z", file=file)
+    ...         print("1 2 3", file=file)
+    ...     read_text(Path(f"{folder}/cloud.xyz"), "cloud").names
+    ['X', 'Y', 'Z']
     """
-    lines = list(_lines(path, name))
+    where = "standard input" if str(path) == STANDARD_INPUT else path.name
+    content = sys.stdin.buffer.read() if str(path) == STANDARD_INPUT else path.read_bytes()
+    lines, comment = _lines(_decoded(content, name, where))
     if not lines:
-        check.refuse(name, "The file must have at least one line of numbers.", f"{path.name}, which has none")
-    first = lines[0][1]
-    separator = next((s for s in (";", "\t", ",") if s in first), None)
-    layout = _layout(_split(first, separator), layouts, named)
-    lines = lines[layout.header :]
-    if not lines:
-        check.refuse(name, "The file must have numbers below its header.", f"{path.name}, which has none")
-    table = _at_once(lines, separator, layout)
-    if table is None or not (missing or np.isfinite(table).all()):
-        table = _one_by_one(lines, separator, layout, name, path, missing)
-    return table
+        check.refuse(name, "The file must have at least one line of numbers.", f"{where}, which has none")
+    separator = _separator(lines[0][1])
+    rows = [_split(line, separator) for _, line in lines[:2]]
+    names: list[str] = []
+    if _is_header(rows):
+        names, lines, rows = rows[0], lines[1:], rows[1:]
+        if not lines:
+            check.refuse(name, "The file must have numbers below its header.", f"{where}, which has none")
+        if len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
+            names = ["", *names]
+    elif comment:
+        cells = _split(comment, _separator(comment))
+        if len(cells) == len(rows[0]) and _is_header([cells]):
+            names = cells
+    return TextTable(where, name, names, lines, separator)
 
 
-def _lines(path: Path, name: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines that hold something, and their numbers."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            for number, text in enumerate(file, start=1):
-                line = text.strip()
-                if line and not line.startswith("#"):
-                    yield number, line
-    except UnicodeDecodeError:
-        check.refuse(name, "A file of this ending must be text.", f"{path.name}, which is not")
+def _decoded(content: bytes, name: str, where: str) -> str:
+    marked = [encoding for mark, encoding in _BYTE_ORDER_MARKS.items() if content.startswith(mark)]
+    for encoding in marked or ["utf-8", "latin-1"]:  # where other encodings differ are no numbers
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            if "\0" not in text:
+                return text
+    rule = "A file of this ending must be text, in UTF-8, Latin-1, or UTF-16 with a byte-order mark."
+    check.refuse(name, rule, f"{where}, which is not")
+
+
+def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
+    """Return the lines that hold something, with their numbers, and the last comment before them."""
+    lines: list[tuple[int, str]] = []
+    comment = ""
+    for number, raw in enumerate(io.StringIO(text, newline=None), start=1):
+        line = raw.strip()
+        if line and "\t" in raw:  # which may stand for empty cells at the ends
+            line = raw.strip("\n ")
+        if "#" in line:
+            line = re.sub(r"\s#.*", "", line)
+        if line.startswith(_COMMENTS):
+            comment = comment if lines else line.lstrip("#%/ \t")
+        elif line:
+            lines.append((number, line))
+    return lines, comment
+
+
+def _separator(line: str) -> str | None:
+    return next((separator for separator in (";", "\t", ",") if separator in line), None)
 
 
 def _split(line: str, separator: str | None) -> list[str]:
-    return [cell.strip().strip("\"'") for cell in line.split(separator)]
+    if '"' in line and len(line) <= csv.field_size_limit():  # what is quoted may hold separators
+        (cells,) = csv.reader([line], delimiter=separator or " ", skipinitialspace=True)
+    else:
+        cells = line.split(separator)
+    return [cell.strip().strip("\"'") for cell in cells]
 
 
-def _layout(
-    first: Sequence[str], layouts: Sequence[Sequence[str]], named: Sequence[Sequence[str]]
-) -> _Layout:
-    header = not any(_NUMBER.fullmatch(cell) for cell in first)
-    names = [cell.lower() for cell in first]
-    for columns in [*named, *layouts] if header else []:
-        if set(columns) <= set(names):
-            return _Layout(header, len(names), [names.index(column) for column in columns], [columns])
-    fitting = [columns for columns in layouts if len(columns) == len(first)] or layouts
-    width = len(fitting[0])
-    return _Layout(header, width, list(range(width)), fitting)
+def _is_header(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether the first of two rows is names: none is a number, or they are the numbers that pandas counts by."""
+    first = rows[0]
+    if not any(map(_is_number, first)):
+        return not all(map(_is_nothing, first))
+    count = [str(k) for k in range(len(first))]
+    if first == ["", *count[:-1]]:
+        return True
+    return len(first) > 1 and first == count and len(rows) > 1 and not any(map(str.isdecimal, rows[1]))
 
 
-def _at_once(lines: Iterable[tuple[int, str]], separator: str | None, layout: _Layout) -> Floats | None:
-    """Read lines ten times as fast as one by one; None if there is anything to look at more closely."""
-    try:
-        table = np.loadtxt((line for _, line in lines), delimiter=separator, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return table.take(layout.chosen, axis=1) if table.shape[1] == layout.width else None
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell) or _has_comma(cell))
 
 
-def _one_by_one(
-    lines: Sequence[tuple[int, str]],
-    separator: str | None,
-    layout: _Layout,
-    name: str,
-    path: Path,
-    missing: bool,
-) -> Floats:
-    table = np.empty((len(lines), len(layout.chosen)))
-    for row, (number, line) in zip(table, lines, strict=True):
-        cells, place = _split(line, separator), f"line {number} of {path.name}"
-        if len(cells) != layout.width:
-            check.refuse(name, layout.rule(), f"{len(cells)} in {place}")
-        row[:] = [_value(cells[column], missing, name, place) for column in layout.chosen]
-    return table
+def _has_comma(cell: str) -> bool:
+    return "," in cell and "." not in cell and bool(_NUMBER.fullmatch(cell.replace(",", ".")))
 
 
-def _value(cell: str, missing: bool, name: str, place: str) -> float:
-    # Not float's own grammar: it reads 1_000, and digits of any script.
-    value = float(cell) if _NUMBER.fullmatch(cell) else None
-    if value is None or not (missing or np.isfinite(value)):
-        check.refuse(name, f"Cells must be {'' if missing else 'finite '}numbers.", f"{cell!r} in {place}")
-    return value
+def _is_nothing(cell: str) -> bool:
+    return cell.lower() in _NOTHING

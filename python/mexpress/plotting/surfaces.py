@@ -258,18 +258,19 @@ def plot_control_points(
     >>> plot_control_points(mx.select_surface(points, np.sin(points[:, 0]), max_count=20))
     <Figure size ...>
     """
-    where, size = selection.points, check.image_size(image_size)
+    known = np.isfinite(selection.points).all(axis=1)  # the others were missing
+    where, values, size = selection.points[known], selection.values[known], check.image_size(image_size)
     figure, axes = _map_figure(where, size)
-    if selection.values.ndim == 1:
+    if values.ndim == 1:
         # No shade is so dark that marks and numbers are not seen on it.
-        look = {"vmin": percentile(selection.values, 1), "vmax": percentile(selection.values, 99)}
-        dots = _draw_data(axes, selection.surface, where, selection.values, cmap=_shades(), **look)
+        look = {"vmin": percentile(values, 1), "vmax": percentile(values, 99)}
+        dots = _draw_data(axes, selection.surface, where, values, cmap=_shades(), **look)
         label = with_unit("value" if size is None else "depth", unit)
         figure.colorbar(dots, ax=axes, label=label, extend="both", aspect=30, shrink=0.85, pad=0.02)
     else:
         axes.plot(*where.T, "s", color="0.7", ms=3, label="data")
     _mark_control_points(axes, selection.control_points, selection.count)
-    _set_frame(axes, where, size, selection.values.ndim == 1)
+    _set_frame(axes, where, size, values.ndim == 1)
     number = len(selection.control_points)
     chosen = f"{selection.criterion} selects the first {selection.count}"
     axes.set_title(f"{number} control points in the order in which they came; {chosen}", loc="left")

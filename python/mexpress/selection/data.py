@@ -18,6 +18,8 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, diagonal, hull
 from mexpress.models import Basis, Design, Surface, Warp, fractional_design, linear_design
+from mexpress.selection import incomplete
+from mexpress.selection.incomplete import RAISE, spread, those
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -27,7 +29,7 @@ class Matches:
     Parameters
     ----------
     source, target : (n, 2) array
-        Matched points, x then y, in pixels of either image.
+        Matched points, x then y, in pixels of either image; NaN where they were missing.
     weights : (n,) array or None
         Weights of the matches; 1 each if None. A weight of 0 stands for a match that is absent.
     image_size : (width, height) or None
@@ -46,9 +48,21 @@ class Matches:
 
     @classmethod
     def of(
-        cls, source: ArrayLike, target: ArrayLike, image_size: Any = None, weights: ArrayLike | None = None
+        cls,
+        source: ArrayLike,
+        target: ArrayLike,
+        image_size: Any = None,
+        weights: ArrayLike | None = None,
+        missing: str = RAISE,
     ) -> Matches:
-        """Check matches: n pairs of finite points."""
+        """Check matches: n pairs of points, finite unless missing ones are dropped, whose weight is then 0."""
+        known = incomplete.complete_rows(missing, source=source, target=target, weights=weights)
+        if known is not None:
+            some = cls.of(those(source, known), those(target, known), image_size, those(weights, known))
+            present_or_not = incomplete.spread_weights(some.weights, known)
+            return cls(
+                spread(some.source, known), spread(some.target, known), present_or_not, some.image_size
+            )
         # Copies: models keep their data, whatever becomes of the caller's arrays.
         source, target = check.points(source, "source").copy(), check.points(target, "target").copy()
         if len(source) != len(target):
@@ -82,7 +96,9 @@ class Matches:
     @cached_property
     def diagonal(self) -> float:
         """Length that radii are percentages of: the diagonal of the image, or of the source points' bounding box."""
-        return diagonal(self.source) if self.image_size is None else math.hypot(*self.image_size)
+        if self.image_size is not None:
+            return math.hypot(*self.image_size)
+        return diagonal(_present(self.source, self.weights))
 
     def design(self, basis: Basis, fractional: bool, over_data: bool | None = None) -> Design[Warp]:
         """Write the fit of a warp as a least-squares problem, see `mexpress.models.fractional_design`."""
@@ -102,7 +118,7 @@ class Samples:
     Parameters
     ----------
     points : (n, 2) array
-        Positions.
+        Positions; NaN where they, or the values, were missing.
     values : (n,) or (n, d) array
         Depths, or points in space.
     weights : (n,) array or None
@@ -120,8 +136,19 @@ class Samples:
     image_size: ClassVar[None] = None
 
     @classmethod
-    def of(cls, points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None) -> Samples:
-        """Check data: n finite points with a value each."""
+    def of(
+        cls,
+        points: ArrayLike,
+        values: ArrayLike,
+        weights: ArrayLike | None = None,
+        missing: str = RAISE,
+    ) -> Samples:
+        """Check data: n points with a value each, finite unless missing ones are dropped, whose weight is then 0."""
+        known = incomplete.complete_rows(missing, points=points, values=values, weights=weights)
+        if known is not None:
+            some = cls.of(those(points, known), those(values, known), those(weights, known))
+            present_or_not = incomplete.spread_weights(some.weights, known)
+            return cls(spread(some.points, known), spread(some.values, known), present_or_not)
         points = check.points(points, "points").copy()
         values, shares = check.columns(values, "values", len(points)).copy(), _weights(weights, len(points))
         return cls(points, values, shares)
@@ -141,7 +168,7 @@ class Samples:
     @cached_property
     def diagonal(self) -> float:
         """Length that radii are percentages of: the diagonal of the points' bounding box."""
-        return diagonal(self.points)
+        return diagonal(_present(self.points, self.weights))
 
     def design(self, basis: Basis) -> Design[Surface]:
         """Write the fit of a surface as a least-squares problem."""
@@ -204,4 +231,5 @@ def _present(points: Floats, weights: Floats | None) -> Floats:
 
 
 def _part(weights: Floats | None, some: Integers) -> Floats | None:
-    return None if weights is None else weights[some]
+    """Return some of the weights; None if these are 1 each."""
+    return None if weights is None or (weights[some] == 1).all() else weights[some]

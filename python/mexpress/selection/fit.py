@@ -9,6 +9,7 @@ from mexpress.models import CardinalBasis, Design, ModelT, Surface, Warp
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import Matches, Samples, those_present, total_weight
 from mexpress.selection.defaults import surface_defaults, warp_defaults
+from mexpress.selection.incomplete import RAISE
 from mexpress.selection.sweep import sweep_designs
 from mexpress.selection.weights import smoothing_weights, tie_slack
 
@@ -25,6 +26,8 @@ def fit_warp(
     seed: int = 0,
     threads: int | None = None,
     weights: ArrayLike | None = None,
+    *,
+    missing: str = RAISE,
 ) -> Warp:
     """Fit a warp with given control points to matches, by least squares.
 
@@ -48,6 +51,8 @@ def fit_warp(
         Largest number of threads; the result does not depend on it.
     weights : array_like, (n,), optional
         Weight of every match, such as a match's confidence; a match of weight 0 is absent. 1 each by default.
+    missing : {"raise", "drop"}
+        Whether rows with something missing, which is masked, NaN or infinite, are an error, or dropped.
 
     Returns
     -------
@@ -71,7 +76,7 @@ def fit_warp(
     """
     fractional = check.flag(fractional, "fractional")
     basis = CardinalBasis(make_lifting(lifting, control_points))
-    matches = those_present(Matches.of(source, target, image_size, weights))
+    matches = those_present(Matches.of(source, target, image_size, weights, missing))
     chosen = warp_defaults(len(matches.source), smoothing).criterion if criterion is None else criterion
     request = CriteriaRequest(chosen, (), matches, seed, threads)
     return _fit(matches.design(basis, fractional), smoothing, request, "warp", "matches")
@@ -87,6 +92,8 @@ def fit_surface(
     seed: int = 0,
     threads: int | None = None,
     weights: ArrayLike | None = None,
+    *,
+    missing: str = RAISE,
 ) -> Surface:
     """Fit a surface with given control points to data, by least squares.
 
@@ -109,6 +116,8 @@ def fit_surface(
     weights : array_like, (n,), optional
         Weight of every datum, such as one over the square of its standard deviation; a datum of weight 0 is absent. 1
         each by default.
+    missing : {"raise", "drop"}
+        As for `fit_warp`.
 
     Returns
     -------
@@ -131,7 +140,7 @@ def fit_surface(
     array([5.  , 2.25])
     """
     basis = CardinalBasis(make_lifting(lifting, control_points))
-    data = those_present(Samples.of(points, values, weights))
+    data = those_present(Samples.of(points, values, weights, missing))
     chosen = surface_defaults(len(data.points), smoothing).criterion if criterion is None else criterion
     request = CriteriaRequest(chosen, (), data, seed, threads)
     return _fit(data.design(basis), smoothing, request, "surface", "data")

@@ -17,9 +17,10 @@ from mexpress.placement import farthest_order, residual_order
 from mexpress.schemes import Scheme
 from mexpress.selection import rivals
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement
-from mexpress.selection.data import Samples
+from mexpress.selection.data import Samples, present
 from mexpress.selection.defaults import AUTO, is_automatic, surface_defaults
 from mexpress.selection.fitted import FittedSelection, select_of
+from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
 
 
@@ -93,6 +94,7 @@ def select_surface(
     weights: ArrayLike | None = None,
     robust: bool = False,
     queries: ArrayLike | str | None = None,
+    missing: str = RAISE,
 ) -> SurfaceSelection:
     """Fit a surface to data, as complex as predicts held-out data best.
 
@@ -151,6 +153,9 @@ def select_surface(
         Where the surface will be used: positions, or all over a rectangle. If they are far from the data, models are
         judged by predictions as far from their training data as the queries are from the data, and piecewise affine
         surfaces compete. Between the data by default.
+    missing : {"raise", "drop"}, default "raise"
+        Whether rows with something missing, which is masked, NaN or infinite, are an error, or dropped. Those dropped
+        have weight 0: indices in the result are of all rows that were given.
 
     Returns
     -------
@@ -178,11 +183,11 @@ def select_surface(
     >>> paper.selected["FIT"], 10 <= paper.count < 60
     (60, True)
     """
-    data = Samples.of(points, values, weights)
+    data = Samples.of(points, values, weights, missing)
     for name, flag in (("robust", robust), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
-    usual = surface_defaults(len(data.points), smoothing)
+    usual = surface_defaults(len(present(data)), smoothing)
     choices = "residual", "nested", "lloyd"
     question = SurfaceQuestion(
         usual.criterion if criterion is None else criterion,

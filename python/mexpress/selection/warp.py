@@ -18,9 +18,10 @@ from mexpress.placement import farthest_order
 from mexpress.schemes import Scheme
 from mexpress.selection import rivals
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_counts, checked_placement
-from mexpress.selection.data import Matches
+from mexpress.selection.data import Matches, present
 from mexpress.selection.defaults import AUTO, is_automatic, warp_defaults
 from mexpress.selection.fitted import FittedSelection, select_of
+from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
 from mexpress.selection.weights import several_weights
 
@@ -104,6 +105,7 @@ def select_warp(
     weights: ArrayLike | None = None,
     robust: bool = False,
     queries: ArrayLike | str | None = None,
+    missing: str = RAISE,
 ) -> WarpSelection:
     """Fit a warp to point matches, as complex as predicts held-out matches best.
 
@@ -160,6 +162,9 @@ def select_warp(
         image of `image_size`. If they are far from the matches, models are judged by predictions as far from their
         training data as the queries are from the matches, and piecewise affine warps compete. Between the matches by
         default.
+    missing : {"raise", "drop"}, default "raise"
+        Whether rows with something missing, which is masked, NaN or infinite, are an error, or dropped. Those dropped
+        have weight 0: indices in the result are of all rows that were given.
 
     Returns
     -------
@@ -188,13 +193,14 @@ def select_warp(
     >>> selection.warp([[320, 320]]).shape
     (1, 2)
     """
-    matches = Matches.of(source, target, image_size, weights)
-    wished = checked_counts(counts, len(matches.source), "matches")
+    matches = Matches.of(source, target, image_size, weights, missing)
+    n = len(present(matches))
+    wished = checked_counts(counts, n, "matches")
     for name, flag in (("fractional", fractional), ("robust", robust), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
     several = several_weights(smoothing)
-    usual = warp_defaults(len(matches.source), smoothing, fractional, several)
+    usual = warp_defaults(n, smoothing, fractional, several)
     spread = checked_placement(placement, functions, ("lloyd", "nested"), usual.placement)
     question = WarpQuestion(
         usual.criterion if criterion is None else criterion,

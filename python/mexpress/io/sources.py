@@ -1,0 +1,97 @@
+"""Tables wherever they are: text, numpy's and Parquet files, frames of pandas and polars.
+
+Examples
+--------
+>>> import pandas as pd
+>>> read_table(pd.DataFrame({"x": [1.0], "y": [2.0]}), "points").names
+('x', 'y')
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from mexpress import _validation as check
+from mexpress.io.archives import read_arrays
+from mexpress.io.tables import ArrayTable, Table
+from mexpress.io.text import STANDARD_INPUT, read_text
+
+Source = str | os.PathLike[str] | Any
+"""A file, or a frame: an object with columns, each a `to_numpy()` away."""
+
+
+def is_frame(source: Source) -> bool:
+    """Whether this is a frame, and no file.
+
+    Examples
+    --------
+    >>> is_frame("points.csv")
+    False
+    """
+    return hasattr(source, "columns") and hasattr(source, "__getitem__")
+
+
+def where(source: Source) -> str:
+    """Return what messages call it.
+
+    Examples
+    --------
+    >>> where("data/points.csv")
+    'points.csv'
+    """
+    return (
+        "the frame"
+        if is_frame(source)
+        else "standard input"
+        if str(source) == STANDARD_INPUT
+        else Path(source).name
+    )
+
+
+def read_table(source: Source, name: str) -> Table:
+    """Read a table: a frame, `.npy`, `.parquet`, or else text.
+
+    Parameters
+    ----------
+    source : path or frame
+        What to read; "-" is text from standard input.
+    name : str
+        What messages call what is read.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, or no table.
+    ImportError
+        If it is Parquet, and pyarrow is not installed.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> read_table(pd.DataFrame({"x": [1.0, 3.0], "y": [2.0, None]}), "points").numbers([1, 0]).tolist()
+    [[2.0, 1.0], [nan, 3.0]]
+    """
+    if is_frame(source):
+        return ArrayTable.of_frame(source, where(source), name)
+    path = Path(source)
+    ending = path.suffix.lower()
+    if ending == ".npy":
+        return ArrayTable.of(read_arrays(path, name)[name], path.name, name)
+    if ending in {".parquet", ".pq"}:
+        return ArrayTable.of_frame(_read_parquet(path, name), path.name, name)
+    return read_text(path, name)
+
+
+def _read_parquet(path: Path, name: str) -> Any:
+    try:
+        from pyarrow import ArrowException  # noqa: PLC0415  an extra, imported where used
+        from pyarrow.parquet import read_table as read  # noqa: PLC0415
+    except ImportError as error:
+        raise ImportError("Reading Parquet files needs pyarrow: pip install 'mexpress[parquet]'") from error
+    try:
+        with path.open("rb") as file:
+            return read(file)
+    except ArrowException as error:
+        check.refuse(name, "It must be a Parquet file.", f"{path.name}: {error}")

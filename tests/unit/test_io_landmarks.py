@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from mexpress.io.matches import read_matches, read_weighted_matches
+
+QGIS = """#CRS: PROJCRS["WGS 84 / UTM zone 33N"]
+mapX,mapY,{source}X,{source}Y,enable,dX,dY,residual
+500010.5,4649900.25,10.5,-20.25,1,0,0,0
+500110,4649800,110,-120,0,3,4,5
+500210,4649700,210,-220,1,0,0,0
+"""
+
+BIGWARP = """"Pt-0","true","10.5","20.25","110.5","120.25"
+"Pt-1","false","1","2","3","4"
+"Pt-2","true","30","40","130","140"
+"Pt-3","false","30","40","Infinity","Infinity"
+"""
+
+
+@pytest.mark.parametrize("source", ["source", "pixel"])
+@pytest.mark.parametrize("name", ["scan.points", "scan.csv"])
+def test_qgis(tmp_path, source, name):
+    (tmp_path / name).write_text(QGIS.format(source=source))
+    points, target, weights, known = read_weighted_matches(tmp_path / name)
+    np.testing.assert_array_equal(points, [[10.5, 20.25], [210, 220]])
+    np.testing.assert_array_equal(target, [[500010.5, 4649900.25], [500210, 4649700]])
+    assert (weights, known.nonzero()[0].tolist()) == (None, [0, 2])
+    assert read_weighted_matches(tmp_path / name, "residual").weights.tolist() == [0, 0]
+
+
+def test_columns_that_are_told_are_as_they_are(tmp_path):
+    (tmp_path / "scan.points").write_text(QGIS.format(source="source"))
+    columns = ["sourceX", "sourceY", "mapX", "mapY"]
+    np.testing.assert_array_equal(
+        read_matches(tmp_path / "scan.points", columns=columns)[0], [[10.5, -20.25], [110, -120], [210, -220]]
+    )
+
+
+def test_bigwarp(tmp_path):
+    (tmp_path / "landmarks.csv").write_text(BIGWARP)
+    moving, fixed, weights, known = read_weighted_matches(tmp_path / "landmarks.csv")
+    np.testing.assert_array_equal(moving, [[10.5, 20.25], [30, 40]])
+    np.testing.assert_array_equal(fixed, [[110.5, 120.25], [130, 140]])
+    assert (weights, known.nonzero()[0].tolist()) == (None, [0, 2])
+    (tmp_path / "landmarks.csv").write_text(
+        BIGWARP.replace('"4"\n', '"4"\n"Pt-9","true","1","2","Infinity","4"\n')
+    )
+    with pytest.raises(ValueError, match=r"'Infinity' in line 3 of landmarks\.csv"):
+        read_matches(tmp_path / "landmarks.csv")
+
+
+def test_bigwarp_in_space(tmp_path):
+    (tmp_path / "landmarks.csv").write_text('"Pt-0","true","1","2","3","4","5","6"\n')
+    with pytest.raises(ValueError, match=r"BigWarp must have two dimensions\. Given three in landmarks\.csv"):
+        read_matches(tmp_path / "landmarks.csv")

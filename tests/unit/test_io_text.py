@@ -1,0 +1,139 @@
+import codecs
+import io
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from mexpress.io.clouds import read_cloud
+from mexpress.io.matches import read_matches, read_points
+
+ROWS = np.array([[1.5, 2, 3, 4], [5, 6.25, 7, 8], [9, 10, 11, -12e-1]])
+
+
+def text(separator=",", mark="."):
+    return "".join(separator.join(map(str, row)).replace(".", mark) + "\n" for row in ROWS.tolist())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "# one\n% two\n// three\n" + text(),
+        "#x1,y1,x2,y2\n" + text(),
+        text().replace("\n", "\n% between\n"),
+        text().replace("\n", "  # good\n"),
+        text(" ").replace("\n", "\t#good\n"),
+        text().replace("\n", ",left\n"),
+        text(" ").replace("\n", " the left wall\n"),
+        text(" ").replace("\n", " the left wall\n", 1).replace("8.0\n", "8.0 door\n"),
+        "x1 y1 x2 y2 what\n" + text(" ").replace("\n", " the left wall\n"),
+        text("\t").replace("\n", "\tthe left wall\n"),
+        text("\t").replace("\n", "\t\n"),
+        text().replace("\n", ",\n"),
+        "".join(f"P{k},{line}\n" for k, line in enumerate(text().splitlines())),
+        "".join(f'"Doe, J.",{line}\n' for line in text().splitlines()),
+        'name,x1,y1,x2,y2\n"Doe, J.",' + text().replace("\n", '\n"Doe, J.",', 2),
+        '"x1" "y1" "x2" "y2"\n' + "".join(f'"{k}" {line}\n' for k, line in enumerate(text(" ").splitlines())),
+        "\tx1\ty1\tx2\ty2\n" + "".join(f"{k}\t{line}\n" for k, line in enumerate(text("\t").splitlines())),
+        "Unnamed: 0,a,b,c,d\n" + "".join(f"{k},{line}\n" for k, line in enumerate(text().splitlines())),
+        "0,1,2,3\n" + text(),
+        text(";", ","),
+        text("\t", ","),
+        "x1;y1;x2;y2;note\n" + text(";", ",").replace("\n", ";3.5 or so\n"),
+        '"' + text('","', ",").replace("\n", '"\n"', 2).replace("\n", '"\n').replace('""', '"')[:-2] + '"\n',
+    ],
+)
+def test_texts_that_people_write(tmp_path, content):
+    (tmp_path / "m.csv").write_text(content, encoding="utf-8")
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)
+
+
+def test_a_quoted_separator_does_not_make_up_for_a_missing_cell(tmp_path):
+    (tmp_path / "m.csv").write_text('name,x1,y1,x2,y2\n"A",1,2,3,4\n"B, 1, b",5,6\n')
+    with pytest.raises(ValueError, match=r"5 columns, as the first has\. Given 3 in line 3"):
+        read_matches(tmp_path / "m.csv")
+
+
+def test_a_comment_names_columns_in_another_order(tmp_path):
+    np.savetxt(tmp_path / "m.csv", ROWS[:, ::-1], delimiter=",", header="y2,x2,y1,x1")
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)
+    (tmp_path / "c.txt").write_text("//Z Y X R\n3 2 1 0\n6 5 4 0\n9 8 7 0\n4 5 1 0\n")
+    cloud = read_cloud(tmp_path / "c.txt")
+    np.testing.assert_array_equal(np.column_stack([cloud.points, cloud.values])[:2], [[1, 2, 3], [4, 5, 6]])
+
+
+def test_a_first_row_of_whole_numbers_is_one_if_others_are_too(tmp_path):
+    (tmp_path / "m.csv").write_text("0,1,2,3\n4,5,6,7.5\n")
+    assert len(read_matches(tmp_path / "m.csv")[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("encoding", "mark"),
+    [
+        ("utf-8", b""),
+        ("utf-8", codecs.BOM_UTF8),
+        ("utf-16-le", codecs.BOM_UTF16_LE),
+        ("utf-16-be", codecs.BOM_UTF16_BE),
+        ("latin-1", b""),
+        ("cp1252", b""),
+    ],
+)
+def test_encodings(tmp_path, encoding, mark):
+    content = "größe;x1;y1;x2;y2\r\n" + "".join(f"süß;{line}\r\n" for line in text(";", ",").splitlines())
+    (tmp_path / "m.csv").write_bytes(mark + content.encode(encoding))
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)
+    weights = {"latin-1": "größe", "cp1252": "größe"}.get(encoding, "größe")
+    np.testing.assert_array_equal(
+        read_matches(tmp_path / "m.csv", columns=["x1", "y1", "x2", "y2"])[0], ROWS[:, :2]
+    )
+    with pytest.raises(ValueError, match="'süß' in line 2"):
+        read_matches(tmp_path / "m.csv", columns=[weights, "y1", "x2", "y2"])
+
+
+@pytest.mark.parametrize(
+    "content", ["1,2,3,4\n".encode("utf-16-le"), codecs.BOM_UTF16_LE + b"1", b"PNG\0\xff", b"1,2,3\0,4\n"]
+)
+def test_what_is_no_text(tmp_path, content):
+    (tmp_path / "m.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=r"UTF-8, Latin-1, or UTF-16 with a byte-order mark. Given m\.csv"):
+        read_matches(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize("word", ["", "NA", "n/a", "NaN", "nan", "-nan", "NULL", "None", "<NA>"])
+def test_words_for_nothing(tmp_path, word):
+    (tmp_path / "c.csv").write_text(f"x,y,z\n1,2,3\n1,2,{word}\n4,5,6\n7,8,9\n5,5,5\n")
+    assert read_cloud(tmp_path / "c.csv").n_missing == 1
+
+
+LINES = st.lists(st.text("019.,;-+\t \"'#%/xyzeNAn\r\n\0é", max_size=20), max_size=5).map("\n".join)
+
+
+@given(
+    st.one_of(st.binary(max_size=60), LINES.map(str.encode), LINES.map(lambda text: text.encode("utf-16")))
+)
+@example(b'"' + b"1" * 200_000 + b'",2,3,4')
+@example(b'1,2,3,"4')
+@example(b'"')
+def test_any_bytes_have_an_answer_or_an_error_of_ours(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("t") / "t.csv"
+    path.write_bytes(content)
+    calls = [
+        lambda: np.hstack(read_matches(path, missing="drop")),
+        lambda: read_points(path, columns=[1, 2], missing=["keep", 9]),
+        lambda: read_cloud(path, columns=["x", "1", "2"]).points,
+    ]
+    for call in calls:
+        try:
+            assert call().dtype == np.float64
+        except (ValueError, TypeError) as error:
+            assert str(error).startswith("Invalid ")  # noqa: PT017
+
+
+def test_standard_input(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text().encode())))
+    np.testing.assert_array_equal(np.hstack(read_matches("-")), ROWS)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"1,2\n")))
+    with pytest.raises(ValueError, match="Given 2 columns in standard input"):
+        read_matches("-")
