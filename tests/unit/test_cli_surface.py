@@ -184,15 +184,6 @@ def test_without_matplotlib_the_numbers_are_written(sheet, run, tmp_path, monkey
     assert (tmp_path / "surface.npz").exists()
 
 
-def test_without_a_ply_reader_the_extra_is_named(run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plyfile", None)
-    (tmp_path / "c.ply").write_text("ply\n")
-    status, _, errors = run("surface", tmp_path / "c.ply", *PAPER, "--out", tmp_path / "out")
-    assert status == 2
-    assert "pip install 'mexpress[ply]'" in errors
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [

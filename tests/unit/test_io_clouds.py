@@ -419,13 +419,13 @@ def test_vertices_without_measurement_and_with_more_than_coordinates(tmp_path, k
         (ply(XYZ[:0]), "0 of 0"),
         (ply(XYZ * np.nan), "0 of 7"),
         (ply(XYZ, count=10**15), "PLY"),
-        (ply(XYZ, "ascii", count=8), "PLY.*early end-of-file"),
-        (ply(XYZ, "ascii").replace(b"-", b"?"), "PLY.*malformed"),
+        (ply(XYZ, "ascii", count=8), "PLY.*ends before its last element"),
+        (ply(XYZ, "ascii").replace(b"-", b"?"), "PLY.*could not convert"),
         (ply(XYZ).replace(b"binary_little_endian", b"binary_middle_endian"), "PLY"),
         (
             b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
             b"property list uchar float z\nend_header\n" + b"1 2 1 3\n" * 4,
-            "real numbers",
+            "numbers x, y and z. Given x, y in",
         ),
     ],
 )
@@ -492,13 +492,10 @@ def test_names_of_no_file(tmp_path, ending):
         read_cloud(tmp_path / f"folder.{ending}")
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "extra"), [("skimage.io", "c.png", "image"), ("plyfile", "c.ply", "ply")]
-)
-def test_without_the_extra(tmp_path, monkeypatch, module, name, extra):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImportError, match=rf"mexpress\[{extra}\]"):
-        read_cloud(tmp_path / name)
+def test_without_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage.io", None)
+    with pytest.raises(ImportError, match=r"mexpress\[image\]"):
+        read_cloud(tmp_path / "c.png")
 
 
 # Options

@@ -23,13 +23,13 @@ from mexpress.io.archives import ARCHIVES, read_arrays
 from mexpress.io.images import read_image
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.missing import Missing
+from mexpress.io.ply import read_vertices
 from mexpress.io.sources import Source, is_frame, read_table, where
 from mexpress.io.tables import UVXYZ, XYZ, ArrayTable, Table, choose, complete
 
 _IMAGES = {".png", ".tif", ".tiff", ".pgm"}
 _UNITS_PER_METRE = 1000.0
 _PAIRS = (("points", "values"), ("uv", "points3d"))
-_TRIANGLES = {"face": {"vertex_indices": 3, "vertex_index": 3}}
 _SMALLEST_MAP, _WIDEST_TABLE, _NARROW = 6, 10, 4
 """Arrays with fewer rows or columns, or with at most so many columns and so many times more rows, are tables of points;
 depth maps of such a shape must be called so."""
@@ -374,26 +374,8 @@ def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_n
 
 
 def _read_ply(path: Path, weight: str) -> tuple[Floats, Any]:
-    ply = _parse_ply(path)
-    names = ply["vertex"].data.dtype.names if "vertex" in ply else ()
-    if not set("xyz") <= set(names):
-        there = ", ".join(names) or "no vertices"
-        check.refuse("cloud", "A PLY file must have vertices with x, y and z.", f"{there} in {path.name}")
-    table = np.column_stack([check.real(ply["vertex"][name], name) for name in "xyz"])
-    return table, ply["vertex"][weight] if weight in names else None
-
-
-def _parse_ply(path: Path) -> Any:
-    try:
-        from plyfile import PlyData  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Reading PLY files needs plyfile: pip install 'mexpress[ply]'") from error
-    # Faces are read one by one, a thousand times slower, unless their number of corners is told.
-    for corners in (_TRIANGLES, {}):
-        try:
-            return PlyData.read(str(path), known_list_len=corners)
-        except OSError:
-            raise
-        except Exception as error:  # damaged bytes raise whatever the reader meets first
-            failure = error
-    check.refuse("cloud", "It must be a PLY file.", f"{path.name}: {failure}")
+    vertices = read_vertices(path, "cloud")
+    if not set("xyz") <= vertices.keys():
+        rule, there = "A PLY file must have vertices with numbers x, y and z.", ", ".join(vertices) or "no vertices"
+        check.refuse("cloud", rule, f"{there} in {path.name}")
+    return np.column_stack([check.real(vertices[name], name) for name in "xyz"]), vertices.get(weight)
