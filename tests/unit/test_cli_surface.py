@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from skimage.io import imsave
+from rasters import png
 
 import mexpress as mx
 from mexpress.cli import main
@@ -33,7 +33,7 @@ def run(capsys):
 @pytest.fixture
 def depth_map(tmp_path):
     path = tmp_path / "depth.png"
-    imsave(path, DEPTH, check_contrast=False)
+    path.write_bytes(png(DEPTH))
     return path
 
 
@@ -202,7 +202,10 @@ def test_without_matplotlib_the_numbers_are_written(sheet, run, tmp_path, monkey
     ],
 )
 def test_bad_options_are_one_line(depth_map, run, tmp_path, options, says):
-    status, text, errors = run("surface", depth_map, *PAPER, *options, "--quiet", "--out", tmp_path / "out")
+    unit = [] if "--scale" in options else ["--scale", "1000"]
+    status, text, errors = run(
+        "surface", depth_map, *PAPER, *options, *unit, "--quiet", "--out", tmp_path / "out"
+    )
     assert (status, text) == (2, "")
     assert says in errors
     assert errors.startswith("mexpress: error: ")
@@ -271,7 +274,7 @@ def test_queries_all_over_a_depth_map(depth_map, run, tmp_path):
     options = ["--data", "150", "--quiet", "--no-plots", "--out", out]
     status, _, errors = run("surface", depth_map, *options, "--queries", "image")
     assert status == 0, errors
-    cloud = read_cloud(depth_map, max_data=150)
+    cloud = read_cloud(depth_map, 1000, max_data=150)
     expected = mx.select_surface(cloud.points, cloud.values, queries=(0, 0, 40, 30))
     said = json.loads((out / "selection.json").read_text())
     assert said["curves"]["MATCHED"] == expected.curves["MATCHED"].tolist()

@@ -169,7 +169,7 @@ def test_many_faces_of_both_kinds(tmp_path):
             "a list of i has '-1' entries",
         ),
         (header("ascii", "element vertex 1", "property float x") + b"1_0\n", "'1_0' is no number"),
-        (header("ascii", "element vertex 1", "property float x") + b"\xff\n", "could not convert"),
+        (header("ascii", "element vertex 1", "property float x") + b"\xff\n", "is no number"),
         (
             header("binary_little_endian", "element vertex 1", "property char x", "property char x") + b"12",
             "occurs more than once",

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
+from mexpress.io.words import as_numbers
 
 _TYPES = {
     **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
@@ -128,7 +129,7 @@ def _numbers_in_text(elements: list[_Element], body: bytes) -> dict[str, NDArray
             raise ValueError(_ENDS_EARLY)
         columns, at = _columns(element, words, at)
         if element.name == "vertex":
-            vertices = {name: _as_numbers(column) for name, column in columns.items()}
+            vertices = {name: as_numbers(column) for name, column in columns.items()}
     return vertices
 
 
@@ -153,13 +154,6 @@ def _columns(element: _Element, words: list[bytes], at: int) -> tuple[dict[str, 
     if at > len(words):
         raise ValueError(_ENDS_EARLY)
     return columns, at
-
-
-def _as_numbers(words: list[bytes]) -> NDArray[Any]:
-    for word in words:
-        if b"_" in word:  # Python's grammar, not PLY's
-            raise ValueError(f"{word.decode('latin-1')!r} is no number")
-    return np.array(words, dtype="S").astype(np.float64)
 
 
 def _numbers_in_bytes(elements: list[_Element], body: bytes) -> dict[str, NDArray[Any]]:
