@@ -16,6 +16,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
+from mexpress.io.endings import readable
 from mexpress.io.grids import is_grid, read_grid
 from mexpress.io.netpbm import is_netpbm, read_netpbm
 from mexpress.io.pillow import read_by_pillow
@@ -92,6 +93,4 @@ def read_raster(path: Path, name: str) -> Raster:
             return read_grid(content)
         return (read_tiff(content) if is_tiff(content) else None) or Raster(read_by_pillow(content))
     except ValueError as error:
-        check.refuse(
-            name, "It must be an image that can be read, whole and without a change.", f"{path.name}: {error}"
-        )
+        check.refuse(name, f"It must be a whole image. {readable(name)}", f"{path.name}: {error}")
