@@ -530,6 +530,7 @@ def test_without_the_extra(tmp_path, monkeypatch):
         ),
         *(("max_data", value) for value in (3, 0, -1, 10.0, "10", True)),
         *(("seed", value) for value in (-1, 1.5, "a")),
+        *(("missing", value) for value in ("none", np.nan, [np.inf], True, [[1]], object())),
     ],
 )
 def test_wrong_options(tmp_path, name, wrong):
