@@ -63,7 +63,7 @@ def plane(path, random):
 
 def depths(path, random):
     """Return a part of a depth map."""
-    cloud = read_cloud(path, None, None, max_data=None)
+    cloud = read_cloud(path, 1000, max_data=None)
     return parted(cloud.points, cloud.values, SEEN, random)
 
 

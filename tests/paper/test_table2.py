@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import skimage.io
 from matplotlib.image import imread
+from rasters import png
 from skimage.draw import polygon2mask
 
 import mexpress as mx
@@ -178,10 +178,10 @@ def test_masks_and_images_are_read(tmp_path):
     write_scene(tmp_path)
     mask = polygon2mask((240, 320), star(200)[:, ::-1])
     alike = np.dstack([*[np.uint8(40 * mask)] * 3, np.full(mask.shape, 255, np.uint8)])
-    skimage.io.imsave(tmp_path / "plane_source_mask.png", np.uint8(255 * mask), check_contrast=False)
-    skimage.io.imsave(tmp_path / "plane_target_mask.png", alike, check_contrast=False)
+    (tmp_path / "plane_source_mask.png").write_bytes(png(np.uint8(255 * mask)))
+    (tmp_path / "plane_target_mask.png").write_bytes(png(alike))
     for side in ("source", "target"):
-        skimage.io.imsave(tmp_path / f"plane_{side}.png", np.uint8(99 * mask), check_contrast=False)
+        (tmp_path / f"plane_{side}.png").write_bytes(png(np.uint8(99 * mask)))
     (scene,) = read_scenes(tmp_path)
     assert scene.kind == ""
     assert (scene.image_size, scene.target_size) == ((320, 240), (320, 240))
@@ -246,7 +246,7 @@ def test_wrong_directories_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must be JSON"):
         read_scenes(unknown)
     black = write_scene(tmp_path / "black")
-    skimage.io.imsave(black / "plane_source_mask.png", np.zeros((9, 9), np.uint8), check_contrast=False)
+    (black / "plane_source_mask.png").write_bytes(png(np.zeros((9, 9), np.uint8)))
     with pytest.raises(ValueError, match="nonzero somewhere"):
         read_scenes(black)
 
@@ -268,9 +268,9 @@ def test_sizes_that_contradict_each_other_are_refused(tmp_path):
         folder = write_scene(tmp_path / name, told=told)
         part = np.ones(shape, dtype=bool) if shape == (9, 9) else mask
         for side in ("source", "target"):
-            skimage.io.imsave(folder / f"plane_{side}_mask.png", np.uint8(255 * part), check_contrast=False)
+            (folder / f"plane_{side}_mask.png").write_bytes(png(np.uint8(255 * part)))
             image = part if name == "small" else mask[: shape[0], : shape[1]]
-            skimage.io.imsave(folder / f"plane_{side}.png", np.uint8(99 * image), check_contrast=False)
+            (folder / f"plane_{side}.png").write_bytes(png(np.uint8(99 * image)))
         with pytest.raises(ValueError, match=r"^Invalid image_size\. .* in the scene plane\.$"):
             read_scenes(folder)
 
@@ -647,7 +647,7 @@ def test_a_figure_of_ones_own_scene_is_drawn_on_its_images(tmp_path):
     write_contour(data / "plane_source_contour.csv", star())
     for side in ("source", "target"):
         image = np.uint8(np.random.default_rng(0).integers(0, 255, (240, 320, 3)))
-        skimage.io.imsave(data / f"plane_{side}.png", image, check_contrast=False)
+        (data / f"plane_{side}.png").write_bytes(png(image))
     outcome = drawn(table2.FIGURE4.run(Options(data, tmp_path, quick=True, progress=False)), tmp_path)
     assert "! in some draw the denominator vanishes" in outcome.report
     assert outcome.summary["scene"] == "plane"

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from matplotlib.image import imsave
+from rasters import png
 
 import mexpress as mx
 from mexpress.cli import main
@@ -136,8 +137,9 @@ def test_without_matplotlib_the_numbers_are_written(matches, run, tmp_path, monk
 
 
 def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "skimage.io", None)
-    pair = ["--source-image", "left.png", "--target-image", "right.png"]
+    (tmp_path / "left.png").write_bytes(png(np.eye(9, dtype=np.uint8)))
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    pair = ["--source-image", tmp_path / "left.png", "--target-image", "right.png"]
     status, _, errors = run("warp", matches, *PAPER, *pair, "--out", tmp_path / "out")
     assert status == 2
     assert "pip install 'mexpress[image]'" in errors

@@ -9,11 +9,9 @@ import matplotlib.cbook
 import numpy as np
 import pytest
 import scipy.stats
-import tifffile
 from hypothesis import example, given
 from hypothesis import strategies as st
-from PIL import Image
-from skimage.io import imsave
+from rasters import png, tiff
 
 from mexpress.io import text as tables
 from mexpress.io.clouds import Cloud, read_cloud
@@ -35,10 +33,8 @@ def save(path, array):
     """Write an array as the ending says."""
     if path.suffix == ".npy":
         np.save(path, array)
-    elif path.suffix == ".tif":
-        tifffile.imwrite(path, array)
     else:
-        imsave(path, array, check_contrast=False)
+        path.write_bytes((tiff if path.suffix == ".tif" else png)(array))
     return path
 
 
@@ -62,7 +58,6 @@ def lines(table, separator=","):
         ("d.png", np.uint16, 1000),
         ("D.PNG", np.uint16, 1000),
         ("d.tif", np.uint16, 1000),
-        ("d.tif", np.int32, 1000),
         ("d.tif", np.uint32, 1000),
         ("d.npy", np.uint16, 1),
         ("d.npy", ">u2", 1),
@@ -72,9 +67,13 @@ def lines(table, separator=","):
 @pytest.mark.parametrize("scale", [None, 1, 5000, 0.25])
 def test_a_depth_map_of_whole_numbers(tmp_path, name, dtype, units, scale):
     path = save((tmp_path / name.lower()), DEPTH.astype(dtype)).rename(tmp_path / name)
-    cloud = read_cloud(path, scale=scale)
+    guessed = scale is None and units == 1000
+    says = rf"^{name} has whole numbers in a unit that .* divided by 1000\..* say scale=1000; scale=1 keeps them\.$"
+    with pytest.warns(UserWarning, match=says) if guessed else contextlib.nullcontext():
+        cloud = read_cloud(path, scale=scale)
     np.testing.assert_array_equal(cloud.points, np.column_stack([COLUMN, ROW]))
     np.testing.assert_array_equal(cloud.values, DEPTH[ROW, COLUMN] / (scale or units))
+    assert cloud.unit == (None if scale is None and units == 1 else "m")
     assert (cloud.image_size, cloud.n_valid, cloud.n_missing) == ((12, 9), 105, 3)
     assert cloud.points.dtype == cloud.values.dtype == np.float64
 
@@ -104,7 +103,9 @@ def test_in_a_depth_map_of_floats_zero_is_a_value_except_for_a_camera(tmp_path, 
 
 def test_a_portable_graymap_of_two_bytes_a_pixel(tmp_path):
     (tmp_path / "d.pgm").write_bytes(b"P5 12 9 65535\n" + DEPTH.astype(">u2").tobytes())
-    np.testing.assert_array_equal(read_cloud(tmp_path / "d.pgm").values, DEPTH[ROW, COLUMN] / 1000)
+    np.testing.assert_array_equal(
+        read_cloud(tmp_path / "d.pgm", scale=1000).values, DEPTH[ROW, COLUMN] / 1000
+    )
 
 
 def test_points_in_space_project_onto_their_pixels(tmp_path):
@@ -137,7 +138,6 @@ def test_the_elevation_map_that_matplotlib_ships():
     [
         ("d.png", np.ones((6, 7, 3), np.uint8), r"shape \(6, 7, 3\) in d\.png"),
         ("d.png", np.ones((6, 7, 4), np.uint8), r"shape \(6, 7, 4\)"),
-        ("d.tif", np.ones((2, 6, 7), np.uint16), r"shape \(2, 6, 7\)"),
         ("d.npy", np.ones((6, 7, 3)), r"shape \(6, 7, 3\)"),
         ("d.npy", np.ones(12), r"shape \(12,\)"),
         ("d.npy", np.ones((6, 7), complex), "complex"),
@@ -158,14 +158,14 @@ def test_depth_maps_that_are_refused(tmp_path, name, array, says):
 
 
 def test_an_image_of_single_bits_is_a_mask(tmp_path):
-    Image.fromarray(np.eye(8) > 0).save(tmp_path / "d.png")
+    (tmp_path / "d.png").write_bytes(png(np.eye(8, dtype=np.uint8), bits=1))
     refused(lambda: read_cloud(tmp_path / "d.png"), "real number.*bool")
 
 
 def test_four_data_are_enough(tmp_path):
     depth = np.zeros((6, 7), np.uint16)
     depth[:2, :2] = 1
-    assert read_cloud(save(tmp_path / "d.png", depth)).n_valid == 4
+    assert read_cloud(save(tmp_path / "d.png", depth), scale=1000).n_valid == 4
 
 
 # Arrays
@@ -419,13 +419,13 @@ def test_vertices_without_measurement_and_with_more_than_coordinates(tmp_path, k
         (ply(XYZ[:0]), "0 of 0"),
         (ply(XYZ * np.nan), "0 of 7"),
         (ply(XYZ, count=10**15), "PLY"),
-        (ply(XYZ, "ascii", count=8), "PLY.*early end-of-file"),
-        (ply(XYZ, "ascii").replace(b"-", b"?"), "PLY.*malformed"),
+        (ply(XYZ, "ascii", count=8), "PLY.*ends before its last element"),
+        (ply(XYZ, "ascii").replace(b"-", b"?"), "PLY.*'\\?.*' is no number"),
         (ply(XYZ).replace(b"binary_little_endian", b"binary_middle_endian"), "PLY"),
         (
             b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
             b"property list uchar float z\nend_header\n" + b"1 2 1 3\n" * 4,
-            "real numbers",
+            "numbers x, y and z. Given x, y in",
         ),
     ],
 )
@@ -457,12 +457,13 @@ def test_a_file_cut_short_is_refused_or_loses_nothing(tmp_path, tmp_path_factory
         path = tmp_path / f"c.{kind}"
         whole = image_bytes(tmp_path_factory, path.name)
     path.write_bytes(whole)
-    expected = read_cloud(path)
+    scale = 1000 if kind in ("png", "tif") else None
+    expected = read_cloud(path, scale)
     complete = 0
     for size in [*range(0, len(whole), max(1, len(whole) // 40)), len(whole) - 1]:
         path.write_bytes(whole[:size])
         with contextlib.suppress(ValueError):
-            np.testing.assert_array_equal(read_cloud(path).values, expected.values)
+            np.testing.assert_array_equal(read_cloud(path, scale).values, expected.values)
             complete += 1
     assert complete <= 4  # the end of a file may say nothing
 
@@ -492,13 +493,13 @@ def test_names_of_no_file(tmp_path, ending):
         read_cloud(tmp_path / f"folder.{ending}")
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "extra"), [("skimage.io", "c.png", "image"), ("plyfile", "c.ply", "ply")]
-)
-def test_without_the_extra(tmp_path, monkeypatch, module, name, extra):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImportError, match=rf"mexpress\[{extra}\]"):
-        read_cloud(tmp_path / name)
+def test_without_the_extra(tmp_path, monkeypatch):
+    path = save(tmp_path / "c.png", DEPTH)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(
+        ImportError, match=r"^Reading this image needs Pillow: pip install 'mexpress\[image\]'$"
+    ):
+        read_cloud(path)
 
 
 # Options
@@ -529,6 +530,7 @@ def test_without_the_extra(tmp_path, monkeypatch, module, name, extra):
         ),
         *(("max_data", value) for value in (3, 0, -1, 10.0, "10", True)),
         *(("seed", value) for value in (-1, 1.5, "a")),
+        *(("missing", value) for value in ("none", np.nan, [np.inf], True, [[1]], object())),
     ],
 )
 def test_wrong_options(tmp_path, name, wrong):
@@ -576,7 +578,7 @@ def drawn(cloud):
 
 @pytest.mark.parametrize("count", [4, 100, 2303])
 def test_a_draw_is_of_different_valid_data_in_their_order(large, count):
-    cloud = read_cloud(large, max_data=count, seed=3)
+    cloud = read_cloud(large, 1000, max_data=count, seed=3)
     index = drawn(cloud)
     assert len(index) == count
     assert (np.diff(index) > 0).all()
@@ -584,30 +586,32 @@ def test_a_draw_is_of_different_valid_data_in_their_order(large, count):
 
 
 def test_the_same_seed_draws_the_same_data(large):
-    first, again, other = (drawn(read_cloud(large, max_data=50, seed=seed)) for seed in (7, 7, 8))
+    first, again, other = (drawn(read_cloud(large, 1000, max_data=50, seed=seed)) for seed in (7, 7, 8))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     random = np.random.default_rng(7)
-    np.testing.assert_array_equal(drawn(read_cloud(large, max_data=50, seed=random)), first)
-    assert not np.array_equal(drawn(read_cloud(large, max_data=50, seed=random)), first)
-    fresh = [drawn(read_cloud(large, max_data=50, seed=None)) for _ in range(2)]
+    np.testing.assert_array_equal(drawn(read_cloud(large, 1000, max_data=50, seed=random)), first)
+    assert not np.array_equal(drawn(read_cloud(large, 1000, max_data=50, seed=random)), first)
+    fresh = [drawn(read_cloud(large, 1000, max_data=50, seed=None)) for _ in range(2)]
     assert not np.array_equal(*fresh)
 
 
 @pytest.mark.parametrize("count", [None, 2304, 2305, 10**30])
 def test_no_draw_when_there_is_room(large, count):
-    cloud = read_cloud(large, max_data=count)
+    cloud = read_cloud(large, 1000, max_data=count)
     assert len(drawn(cloud)) == cloud.n_valid == 2304
 
 
 def test_a_camera_changes_no_draw(large):
-    plain, seen = (read_cloud(large, intrinsics=camera, max_data=50) for camera in (None, (50, 50, 32, 24)))
+    plain, seen = (
+        read_cloud(large, 1000, intrinsics=camera, max_data=50) for camera in (None, (50, 50, 32, 24))
+    )
     np.testing.assert_array_equal(plain.points, seen.points)
     np.testing.assert_array_equal(plain.values, seen.values[:, 2])
 
 
 def test_the_draw_is_uniform_over_the_image(large):
-    draws = [drawn(read_cloud(large, max_data=400, seed=seed)) for seed in range(60)]
+    draws = [drawn(read_cloud(large, 1000, max_data=400, seed=seed)) for seed in range(60)]
     index = np.concatenate(draws)
     # Without replacement the counts vary less than those of a multinomial, by (n - k)/(n - 1) in variance.
     shrunk = (2304 - 400) / 2303
@@ -632,7 +636,10 @@ def test_points_are_drawn_too(tmp_path):
 
 def test_a_cloud_in_one_line(tmp_path):
     save(tmp_path / "d.png", DEPTH)
-    assert repr(read_cloud(tmp_path / "d.png", max_data=50)) == "Cloud(50 of 105 data, depth, 12 x 9 pixels)"
+    assert (
+        repr(read_cloud(tmp_path / "d.png", 1000, max_data=50))
+        == "Cloud(50 of 105 data, depth, 12 x 9 pixels)"
+    )
     np.save(tmp_path / "c.npy", UVXYZ)
     assert repr(read_cloud(tmp_path / "c.npy", columns=range(1, 6))) == "Cloud(7 of 7 data, values in R^3)"
 
@@ -666,14 +673,14 @@ real_data = pytest.mark.skipif(
 @real_data
 @pytest.mark.parametrize(
     ("name", "scale", "missing", "deepest"),
-    [("TUM_depth.png", 5000, 58_950, 46_655), ("depth_00000.png", None, 40_071, 2702)],
+    [("TUM_depth.png", 5000, 58_950, 46_655), ("depth_00000.png", 1000, 40_071, 2702)],
 )
 def test_depth_maps_of_two_sensors(name, scale, missing, deepest):
     path = SHARED / "depth" / name
     every = read_cloud(path, scale, max_data=None)
     assert (every.image_size, every.n_missing) == ((640, 480), missing)
     assert every.n_valid == len(every.points) == 640 * 480 - missing
-    assert every.values.max() == deepest / (scale or 1000)
+    assert every.values.max() == deepest / scale
     some = read_cloud(path, scale, (525, 525, 319.5, 239.5))
     assert (some.values.shape, some.n_valid) == ((10_000, 3), every.n_valid)
     assert abs(some.points.mean(axis=0) - every.points.mean(axis=0)).max() < 8

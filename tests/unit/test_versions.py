@@ -29,8 +29,8 @@ def test_it_names_the_machine_and_every_optional_library(capsys, monkeypatch):
     assert entries["Python"].startswith(platform.python_version())
     assert entries["threads"] == f"7 of {os.cpu_count()} cores"
     assert entries["processor"].startswith(platform.machine())
-    assert {name: entries[name] for name in ("distributed", "scikit-image", "matplotlib", "plyfile")} == {
-        name: version(name) for name in ("distributed", "scikit-image", "matplotlib", "plyfile")
+    assert {name: entries[name] for name in ("distributed", "pillow", "scikit-image", "matplotlib")} == {
+        name: version(name) for name in ("distributed", "pillow", "scikit-image", "matplotlib")
     }
 
 
@@ -58,5 +58,5 @@ def test_a_number_of_threads_that_is_none_is_refused(monkeypatch):
 def test_nothing_optional_is_imported():
     program = "import sys, mexpress; mexpress.show_versions(); print(sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    for module in ("distributed", "skimage", "matplotlib", "plyfile", "scipy"):
+    for module in ("distributed", "PIL", "skimage", "matplotlib", "scipy"):
         assert f"'{module}'" not in done.stdout.splitlines()[-1]

@@ -6,7 +6,9 @@ import argparse
 import re
 import shutil
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -49,6 +51,16 @@ class UsageError(Exception):
 def warn(message: str) -> None:
     """Say on standard error what the results do not."""
     print(f"mexpress: {message}", file=sys.stderr)
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Print warnings of the library as `warn` does, and the arguments that they name as options."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for one in caught:
+        warn(as_options(str(one.message)))
 
 
 def add_selection(parser: Parser, placements: str) -> None:

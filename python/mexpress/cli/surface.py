@@ -12,7 +12,6 @@ import numpy as np
 from mexpress import plotting
 from mexpress._validation import Floats
 from mexpress.cli import common
-from mexpress.io.archives import ARCHIVES
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.selection import SurfaceSelection, select_surface
 
@@ -35,18 +34,23 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "input",
         metavar="INPUT",
         type=Path,
-        help="depth map as 16-bit image, .npy or .npz; or points as .ply, .npy, .npz, .parquet or text with columns "
-        "x y z or u v x y z, and weight if there; - is standard input",
+        help="depth map as .png, .tif, .pgm, .pfm, .asc, .npy or .npz; or points as .ply, .npy, .npz, .parquet or text "
+        "with columns x y z or u v x y z, and weight if there; - is standard input",
     )
     common.add_table(parser, "x,y,z")
-    add("--scale", type=float, metavar="S", help="a depth map's units per metre (default: 1000 for images)")
+    add(
+        "--scale",
+        type=float,
+        metavar="S",
+        help="a depth map's units per metre (default: 1000 for images of whole numbers)",
+    )
     add(
         "--intrinsics",
         type=_intrinsics,
         metavar="FX,FY,CX,CY",
         help="the camera in pixels: fit points in space instead of depths, in metres",
     )
-    add("--unit", metavar="NAME", help="of the values, for texts and plots (default: m for depth images)")
+    add("--unit", metavar="NAME", help="of the values, for texts and plots (default: m if there is a scale)")
     number = parser.add_mutually_exclusive_group()
     number.add_argument(
         "--data",
@@ -86,16 +90,17 @@ def _intrinsics(text: str) -> tuple[float, ...]:
 def _run(arguments: argparse.Namespace) -> None:
     most = None if arguments.all else arguments.data
     column = arguments.weights or arguments.sigma
-    cloud = read_cloud(
-        arguments.input,
-        arguments.scale,
-        arguments.intrinsics,
-        most,
-        arguments.seed,
-        column,
-        **common.table_options(arguments),
-    )
-    unit = arguments.unit or _unit(arguments, cloud)
+    with common.warnings_as_lines():
+        cloud = read_cloud(
+            arguments.input,
+            arguments.scale,
+            arguments.intrinsics,
+            most,
+            arguments.seed,
+            column,
+            **common.table_options(arguments),
+        )
+    unit = arguments.unit or cloud.unit
     arguments.out.mkdir(parents=True, exist_ok=True)
     options = common.selection_options(arguments)
     if isinstance(options["queries"], str):
@@ -125,12 +130,6 @@ def _run(arguments: argparse.Namespace) -> None:
     written += ["surface.npz", *_write_meshes(arguments.out, selection, cloud)]
     written += common.draw(arguments, _plots(selection, cloud, unit))
     print(f"\n{arguments.out}: {', '.join(written)}")
-
-
-def _unit(arguments: argparse.Namespace, cloud: Cloud) -> str | None:
-    """Return the unit of the values, if it is known: images of depths are read in metres."""
-    image = cloud.image_size is not None and arguments.input.suffix.lower() not in ARCHIVES
-    return "m" if image or arguments.scale is not None else None
 
 
 def _image(cloud: Cloud) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ Examples
 Cloud(48 of 48 data, depth, 8 x 6 pixels)
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.io.archives import ARCHIVES, read_arrays
-from mexpress.io.images import read_image
+from mexpress.io.depth import DepthMap, depth_of_array, depth_of_raster
+from mexpress.io.grids import is_grid
+from mexpress.io.images import read_raster
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.missing import Missing
+from mexpress.io.placeholders import note_placeholders
+from mexpress.io.ply import read_vertices
 from mexpress.io.sources import Source, is_frame, read_table, where
 from mexpress.io.tables import UVXYZ, XYZ, ArrayTable, Table, choose, complete
 
-_IMAGES = {".png", ".tif", ".tiff", ".pgm"}
-_UNITS_PER_METRE = 1000.0
+_IMAGES = {".png", ".tif", ".tiff", ".pgm", ".pnm", ".ppm", ".pfm"}
 _PAIRS = (("points", "values"), ("uv", "points3d"))
-_TRIANGLES = {"face": {"vertex_indices": 3, "vertex_index": 3}}
 _SMALLEST_MAP, _WIDEST_TABLE, _NARROW = 6, 10, 4
 """Arrays with fewer rows or columns, or with at most so many columns and so many times more rows, are tables of points;
 depth maps of such a shape must be called so."""
@@ -55,6 +58,8 @@ class Cloud:
         Number of pixels or points in the file that had no measurement.
     weights : (n,) array or None
         Weights of the data, if there are some.
+    unit : str or None
+        What the values are in, if the file or a scale tells: "m".
 
     Raises
     ------
@@ -73,6 +78,7 @@ class Cloud:
     n_valid: int
     n_missing: int = 0
     weights: Floats | None = None
+    unit: str | None = None
 
     def __post_init__(self) -> None:
         points = check.points(self.points, "points")
@@ -100,44 +106,14 @@ def _checked_weights(weights: ArrayLike, n: int) -> Floats:
     return checked
 
 
-class _Map(NamedTuple):
-    """A depth map, of whole numbers or not, and what its numbers mean."""
-
-    raw: NDArray[Any]
-    scale: float
-    intrinsics: tuple[float, float, float, float] | None = None
-    weights: Floats | None = None
-
-    @property
-    def total(self) -> int:
-        return self.raw.size
-
-    @property
-    def image_size(self) -> tuple[float, float]:
-        return self.raw.shape[1], self.raw.shape[0]
-
-    def valid(self) -> Integers:
-        raw = self.raw.ravel()
-        known = np.isfinite(raw) & ((raw != 0) | (raw.dtype.kind == "f" and self.intrinsics is None))
-        return np.flatnonzero(known & _have_weight(self.weights))
-
-    def data(self, chosen: Integers) -> tuple[Floats, Floats]:
-        row, column = np.divmod(chosen, self.raw.shape[1])
-        points = np.column_stack([column, row]).astype(np.float64)
-        with np.errstate(over="ignore"):
-            depth = self.raw.ravel()[chosen].astype(np.float64) / self.scale
-            if self.intrinsics is None:
-                return points, depth
-            fx, fy, cx, cy = self.intrinsics
-            return points, np.column_stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth])
-
-
 class _Points(NamedTuple):
     """Points of the domain and their values, not finite where missing."""
 
     points: Floats
     values: Floats
+    missing: Missing = Missing()
     image_size: None = None
+    unit: None = None
     weights: Floats | None = None
 
     @property
@@ -145,8 +121,12 @@ class _Points(NamedTuple):
         return len(self.points)
 
     def valid(self) -> Integers:
-        known = np.isfinite(np.column_stack([self.points, self.values])).all(axis=1)
+        absent = self.missing.marks(self.values)
+        known = np.isfinite(self.points).all(axis=1) & ~(absent if absent.ndim == 1 else absent.any(axis=1))
         return np.flatnonzero(known & _have_weight(self.weights))
+
+    def numbers(self, chosen: Integers) -> Floats:
+        return self.values[chosen]
 
     def data(self, chosen: Integers) -> tuple[Floats, Floats]:
         return self.points[chosen], self.values[chosen]
@@ -178,7 +158,8 @@ def read_cloud(
     path : path or frame
         The ending tells what it is.
 
-        * `.png`, `.tif`, `.tiff`, `.pgm`: a depth map, a number per pixel.
+        * `.png`, `.tif`, `.tiff`, `.pgm`, `.pnm`, `.pfm`, and `.asc` if it is ESRI's grid: a depth map, a number per
+          pixel, as it stands in the file. Its rows are numbered from the top, wherever on earth they are.
         * `.npy`: an array with 3 to 5 columns, or with at most 10 and four times as many rows, is a table of points,
           like one with fields; another 2-D array, from 6 x 6 on, is a depth map.
         * `.npz`: arrays `points` (n, 2) and `values`, (n,) or (n, d), or `uv` and `points3d`; or a depth map
@@ -195,12 +176,14 @@ def read_cloud(
         A depth map gives data at its pixels, x the column and y the row, from 0; x y z is a depth z at x, y;
         u v x y z is a point of space for each point of the domain.
 
-        Missing are NaN and infinite numbers, and 0 in a depth map of whole numbers. In one of floats 0 is a
-        value, since NaN can say that there is none (``np.where(depth == 0, np.nan, depth)``), unless there are
-        intrinsics: no camera sees a point at its own centre.
+        Missing are NaN and infinite numbers, what the file itself says means no data (GeoTIFF's tag 42113, NODATA_value
+        of ESRI's grids), and 0 in a depth map of whole numbers; not, however, in images whose numbers have a sign,
+        which have a place on earth, or which say what means no data. In one of floats 0 is a value, since NaN can say
+        that there is none, unless there are intrinsics: no camera sees a point at its own centre.
     scale : float, optional
         Units of a depth map's numbers per metre, or per the unit that is wanted: 5000 for the TUM sets. By
-        default 1000 for images of whole numbers, which mostly have millimetres, otherwise 1.
+        default 1000 for images of whole numbers, which mostly have millimetres, unless they have a sign or a place
+        on earth; otherwise 1.
     intrinsics : (fx, fy, cx, cy), optional
         Focal lengths and principal point, in pixels, of the camera that took the depth map. The values are
         then the (n, 3) points of space in the camera's frame; the domain is still the image.
@@ -217,12 +200,14 @@ def read_cloud(
     columns : sequence of str or int, optional
         The columns x y z or u v x y z of a table, by name or by number from 1.
     missing : float, or sequence of float, optional
-        Numbers that mean no data, besides those that are not finite and cells that are empty or NA.
+        Numbers that mean no data, as they stand in the file, besides all that are missing anyway and cells that are
+        empty or NA.
 
     Returns
     -------
     Cloud
-        Four data or more.
+        Four data or more. A `UserWarning` says if numbers were taken for millimetres without being told, and if one
+        constant lies so far outside of all other values that it seems to mean no data.
 
     Raises
     ------
@@ -251,7 +236,7 @@ def read_cloud(
     camera = check.intrinsics(intrinsics)
     most = None if max_data is None else check.count(max_data, "max_data", _FEWEST)
     random = check.generator(seed)
-    source = _calibrated(_read(path, told), scale, camera, where(path))
+    source = _calibrated(_read(path, told), scale, camera, told.missing, where(path))
     valid = source.valid()
     if len(valid) < _FEWEST:
         rule = f"It must have {_FEWEST} data or more that are not missing."
@@ -260,24 +245,43 @@ def read_cloud(
     if most is not None and most < len(valid):
         chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
     shares = None if source.weights is None else source.weights[chosen]
-    return Cloud(*source.data(chosen), source.image_size, len(valid), source.total - len(valid), shares)
+    n_missing = source.total - len(valid)
+    cloud = Cloud(*source.data(chosen), source.image_size, len(valid), n_missing, shares, source.unit)
+    for note in _guesses(source, valid, scale, where(path)):
+        warnings.warn(note, stacklevel=2)
+    return cloud
+
+
+def _guesses(source: DepthMap | _Points, valid: Integers, scale: float | None, place: str) -> list[str]:
+    """Return what the numbers were taken for, or seem to be, without being told."""
+    notes = note_placeholders(source.numbers(valid), place)
+    if scale is not None or source.unit is None:
+        return notes
+    return [
+        f"{place} has whole numbers in a unit that it does not say: they were taken for millimetres, and divided "
+        "by 1000. If that is right, say scale=1000; scale=1 keeps them.",
+        *notes,
+    ]
 
 
 def _calibrated(
-    source: _Map | _Points,
+    source: DepthMap | _Points,
     scale: float | None,
     intrinsics: tuple[float, float, float, float] | None,
+    absent: Missing,
     place: str,
-) -> _Map | _Points:
-    if isinstance(source, _Map):
-        return source._replace(scale=scale or source.scale, intrinsics=intrinsics)
+) -> DepthMap | _Points:
+    if isinstance(source, DepthMap):
+        told = source if scale is None else source._replace(scale=scale, unit="m")
+        every = Missing(source.missing.values + absent.values)
+        return told._replace(missing=every, intrinsics=intrinsics)
     for name, value in (("scale", scale), ("intrinsics", intrinsics)):
         if value is not None:
             check.refuse(name, "It belongs to a depth map.", f"{value} for the points in {place}")
-    return source
+    return source._replace(missing=absent)
 
 
-def _read(path: Source, told: _Told) -> _Map | _Points:
+def _read(path: Source, told: _Told) -> DepthMap | _Points:
     source, weights = _with_weights(path, told)
     named_weights(weights, told.weights, where(path))
     if weights is None:
@@ -289,12 +293,12 @@ def _read(path: Source, told: _Told) -> _Map | _Points:
     return source._replace(weights=shares.ravel())
 
 
-def _with_weights(source: Source, told: _Told) -> tuple[_Map | _Points, Any]:
+def _with_weights(source: Source, told: _Told) -> tuple[DepthMap | _Points, Any]:
     """Read data, and their weights, or None if the file does not have the column."""
     ending = "" if is_frame(source) else Path(source).suffix.lower()
-    if ending in _IMAGES:
+    if ending in _IMAGES or (ending == ".asc" and is_grid(Path(source).read_bytes())):
         path = _without_columns(source, told)
-        return _depth_map(read_image(path, "cloud"), path, _UNITS_PER_METRE), None
+        return depth_of_raster(read_raster(path, "cloud"), path.name), None
     if ending == ".ply":
         path = _without_columns(source, told)
         table, weights = _read_ply(path, str(told.weights or WEIGHT_COLUMN))
@@ -326,22 +330,14 @@ def _have_weight(weights: Floats | None) -> NDArray[np.bool_] | bool:
     return True if weights is None else np.isfinite(weights)
 
 
-def _depth_map(raw: NDArray[Any], path: Path, units: float = 1.0) -> _Map:
-    rule = "A depth map must have rows and columns, with a real number at each pixel."
-    raw = check.array(raw, "cloud", rule, "iuf")
-    if raw.ndim != 2:
-        check.refuse("cloud", rule, f"shape {raw.shape} in {path.name}")
-    return _Map(raw, 1.0 if raw.dtype.kind == "f" else units)
-
-
-def _from_archive(arrays: dict[str, NDArray[Any]], path: Path, told: _Told) -> tuple[_Map | _Points, Any]:
+def _from_archive(arrays: dict[str, NDArray[Any]], path: Path, told: _Told) -> tuple[DepthMap | _Points, Any]:
     if arrays.keys() & {"depth", "values", "points3d"}:
         _without_columns(path, told)
     for points, values in _PAIRS:
         if {points, values} <= arrays.keys():
             return _pair(arrays[points], arrays[values], points, values), None
     if "depth" in arrays:
-        return _depth_map(arrays["depth"], path), None
+        return depth_of_array(arrays["depth"], path.name), None
     if "points" in arrays:
         return _from_table(ArrayTable.of(arrays["points"], path.name, "cloud"), told)
     several = [array for array in arrays.values() if array.ndim > 0]
@@ -351,7 +347,7 @@ def _from_archive(arrays: dict[str, NDArray[Any]], path: Path, told: _Told) -> t
         check.refuse("cloud", rule, f"{there} in {path.name}")
     (array,) = several
     if told.columns is None and not _is_table(array):
-        return _depth_map(array, path), None
+        return depth_of_array(array, path.name), None
     more = " A depth map of this shape must be called depth, in an .npz."
     return _from_table(ArrayTable.of(array, path.name, "cloud"), told, more=more)
 
@@ -374,26 +370,8 @@ def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_n
 
 
 def _read_ply(path: Path, weight: str) -> tuple[Floats, Any]:
-    ply = _parse_ply(path)
-    names = ply["vertex"].data.dtype.names if "vertex" in ply else ()
-    if not set("xyz") <= set(names):
-        there = ", ".join(names) or "no vertices"
-        check.refuse("cloud", "A PLY file must have vertices with x, y and z.", f"{there} in {path.name}")
-    table = np.column_stack([check.real(ply["vertex"][name], name) for name in "xyz"])
-    return table, ply["vertex"][weight] if weight in names else None
-
-
-def _parse_ply(path: Path) -> Any:
-    try:
-        from plyfile import PlyData  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Reading PLY files needs plyfile: pip install 'mexpress[ply]'") from error
-    # Faces are read one by one, a thousand times slower, unless their number of corners is told.
-    for corners in (_TRIANGLES, {}):
-        try:
-            return PlyData.read(str(path), known_list_len=corners)
-        except OSError:
-            raise
-        except Exception as error:  # damaged bytes raise whatever the reader meets first
-            failure = error
-    check.refuse("cloud", "It must be a PLY file.", f"{path.name}: {failure}")
+    vertices = read_vertices(path, "cloud")
+    if not set("xyz") <= vertices.keys():
+        rule = "A PLY file must have vertices with numbers x, y and z."
+        check.refuse("cloud", rule, f"{', '.join(vertices) or 'no vertices'} in {path.name}")
+    return np.column_stack([check.real(vertices[name], name) for name in "xyz"]), vertices.get(weight)

@@ -1,26 +1,27 @@
-"""Images in files, read by scikit-image, which is an extra.
+"""Images in files, sample by sample as they stand there: TIFF, PGM, PPM, PFM, ESRI's grids, and what Pillow reads.
 
 Examples
 --------
 >>> import tempfile
->>> import skimage.io
 >>> with tempfile.TemporaryDirectory() as folder:
-...     skimage.io.imsave(f"{folder}/depth.png", np.ones((2, 3), np.uint16), check_contrast=False)
-...     read_image(Path(f"{folder}/depth.png"))
-array([[1, 1, 1],
-       [1, 1, 1]], dtype=uint16)
+...     size = Path(f"{folder}/depth.pgm").write_text("P2 3 2 4095 1500 1501 1502 1503 1504 1505")
+...     read_image(Path(f"{folder}/depth.pgm"))
+array([[1500, 1501, 1502],
+       [1503, 1504, 1505]], dtype=uint16)
 """
 
-import io
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
-
-_TIFF = {".tif", ".tiff"}
+from mexpress.io.endings import readable
+from mexpress.io.grids import is_grid, read_grid
+from mexpress.io.netpbm import is_netpbm, read_netpbm
+from mexpress.io.pillow import read_by_pillow
+from mexpress.io.raster import Raster
+from mexpress.io.tiff import is_tiff, read_tiff
 
 
 def read_image(path: Path, name: str = "image") -> NDArray[Any]:
@@ -29,44 +30,67 @@ def read_image(path: Path, name: str = "image") -> NDArray[Any]:
     Parameters
     ----------
     path : path
-        Name of the file.
+        Name of the file. Its first bytes tell what it is.
     name : str
         What messages call it.
 
     Returns
     -------
     ndarray, (height, width) or (height, width, channels)
-        The pixels, in the file's own type.
+        The samples, in the file's own type.
 
     Raises
     ------
     ImportError
-        If scikit-image is not installed.
+        If the file needs Pillow, and it is not installed.
     ValueError
-        If the file is damaged, or holds something else.
+        If the file is damaged, holds something else, or holds samples that would be changed.
     OSError
         If it cannot be read.
 
     Examples
     --------
     >>> import tempfile
-    >>> import skimage.io
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     skimage.io.imsave(f"{folder}/colour.png", np.ones((2, 3, 3), np.uint8), check_contrast=False)
-    ...     read_image(Path(f"{folder}/colour.png")).shape
-    (2, 3, 3)
+    ...     size = Path(f"{folder}/colour.ppm").write_bytes(b"P6 2 1 255 " + bytes([255, 0, 0, 0, 0, 255]))
+    ...     read_image(Path(f"{folder}/colour.ppm")).shape
+    (1, 2, 3)
     """
+    return read_raster(path, name).pixels
+
+
+def read_raster(path: Path, name: str) -> Raster:
+    """Read an image, and what its file says of the meaning of its samples.
+
+    Parameters
+    ----------
+    path, name
+        As for `read_image`.
+
+    Returns
+    -------
+    Raster
+        What means no data is said by GeoTIFF and by ESRI's grids, and so is whether there is a place on earth.
+
+    Raises
+    ------
+    ImportError, ValueError, OSError
+        As `read_image` does.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     size = Path(f"{folder}/heights.asc").write_text("ncols 2 nrows 1 cellsize 30 NODATA_value -1  7 -1")
+    ...     read_raster(Path(f"{folder}/heights.asc"), "cloud").no_data
+    (-1.0,)
+    """
+    content = path.read_bytes()
     try:
-        from skimage.io import imread  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Reading images needs scikit-image: pip install 'mexpress[image]'") from error
-    content = path.read_bytes()  # readers leave files open that they do not understand
-    # Without the name a TIFF gets a reader that knows few types, and takes the first of several pages for all.
-    source = str(path) if path.suffix.lower() in _TIFF else io.BytesIO(content)
-    try:
-        image = np.asarray(imread(source))
-    except Exception as error:  # whatever the reader of this format raises
-        check.refuse(name, "It must be a file that scikit-image reads.", f"{path}: {error}")
-    if image.ndim not in (2, 3):
-        check.refuse(name, "It must be one gray or colour image.", f"shape {image.shape} in {path}")
-    return image
+        if is_netpbm(content):
+            return Raster(read_netpbm(content))
+        if is_grid(content):
+            return read_grid(content)
+        return (read_tiff(content) if is_tiff(content) else None) or Raster(read_by_pillow(content))
+    except ValueError as error:
+        check.refuse(name, f"It must be a whole image. {readable(name)}", f"{path.name}: {error}")

@@ -13,6 +13,7 @@ from typing import Any
 
 from mexpress import _validation as check
 from mexpress.io.archives import read_arrays
+from mexpress.io.endings import refuse_foreign
 from mexpress.io.tables import ArrayTable, Table
 from mexpress.io.text import STANDARD_INPUT, read_text
 
@@ -61,7 +62,7 @@ def read_table(source: Source, name: str) -> Table:
     Raises
     ------
     ValueError
-        If the file is damaged, or no table.
+        If the file is damaged, or no table; of files of other kinds the message says which are read.
     ImportError
         If it is Parquet, and pyarrow is not installed.
     OSError
@@ -81,6 +82,7 @@ def read_table(source: Source, name: str) -> Table:
         return ArrayTable.of(read_arrays(path, name)[name], path.name, name)
     if ending in {".parquet", ".pq"}:
         return ArrayTable.of_frame(_read_parquet(path, name), path.name, name)
+    refuse_foreign(path, name)
     return read_text(path, name)
 
 

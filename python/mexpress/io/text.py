@@ -30,6 +30,7 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
+from mexpress.io.endings import readable
 from mexpress.io.tables import between_labels
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
@@ -216,7 +217,7 @@ def _decoded(content: bytes, name: str, where: str) -> str:
             if "\0" not in text:
                 return text
     rule = "A file of this ending must be text, in UTF-8, Latin-1, or UTF-16 with a byte-order mark."
-    check.refuse(name, rule, f"{where}, which is not")
+    check.refuse(name, f"{readable(name)} {rule}", f"{where}, which is not")
 
 
 def _lines(text: str) -> tuple[list[tuple[int, str]], str]:

@@ -130,7 +130,7 @@ def _crossings(ring: Floats, width: int) -> tuple[NDArray[np.intp], Floats]:
 
 
 def outlines(mask: Any) -> Rings:
-    """Return the rings that bound a mask, of holes too; needs the extra ``image``.
+    """Return the rings that bound a mask, of holes too; needs the extra ``paper``.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def outlines(mask: Any) -> Rings:
     try:
         from skimage.measure import find_contours  # noqa: PLC0415  an extra, imported where used
     except ImportError as error:
-        raise ImportError("Outlines of masks need scikit-image: pip install 'mexpress[image]'") from error
+        raise ImportError("Outlines of masks need scikit-image: pip install 'mexpress[paper]'") from error
     inside = np.asarray(mask)
     if inside.dtype != np.bool_ or inside.ndim != 2:
         check.refuse("mask", "It must be a bool array (height, width).", check.describe(inside))

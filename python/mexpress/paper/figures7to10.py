@@ -22,6 +22,7 @@ import numpy as np
 
 from mexpress import criteria, plotting
 from mexpress._validation import Floats
+from mexpress.cli import common
 from mexpress.cli import report as reports
 from mexpress.models.nested_errors import nested_errors
 from mexpress.paper.experiment import Experiment, Options, Outcome
@@ -47,7 +48,7 @@ _SIZES = {"depth": (10_000, 2000), "embedding": (1000, 300)}
 _COUNTS = (175, 100)
 """The largest number of control points, in a full run and in a quick one."""
 
-_IMAGES = "The numbers of an image are divided by 1000: metres if they are millimetres.\n"
+_IMAGES = "The image's numbers are divided by 1000: metres if they are millimetres.\n"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,8 @@ def _sweep(kind: str, options: Options) -> _Sweep:
     full, quick = _SIZES["depth" if options.data else kind]
     number = quick if options.quick else full
     if options.data is not None:
-        subject = read_subject(options.data, number, options.seed)
+        with common.warnings_as_lines():
+            subject = read_subject(options.data, number, options.seed)
     else:
         simulated = simulated_depth if kind == "depth" else simulated_embedding
         subject = simulated(number, options.seed)
@@ -173,7 +175,7 @@ def _report(sweep: _Sweep, data: Path | None) -> str:
     for name, count in sweep.shown.selected.items():
         lines.append(_line(sweep, name, count, known))
     notes = f"{TRUTH}: the number that is in truth best; no criterion knows it.\n" if known else ""
-    if data is not None and subject.image_size is not None and data.suffix.lower() not in {".npy", ".npz"}:
+    if data is not None and subject.unit is not None:
         notes += _IMAGES
     if subject.dimension not in (1, 3):
         notes += f"Points in R^{subject.dimension} cannot be drawn: only their criteria are.\n"

@@ -116,7 +116,13 @@ def read_subject(path: Path, most: int, seed: int) -> Subject:
     """
     cloud = read_cloud(path, max_data=most, seed=seed)
     return Subject(
-        path.name, cloud.points, cloud.values, cloud.image_size, None, np.zeros((0, 2)), cloud.values[:0]
+        path.name,
+        cloud.points,
+        cloud.values,
+        cloud.image_size,
+        cloud.unit,
+        np.zeros((0, 2)),
+        cloud.values[:0],
     )
 
 

@@ -262,7 +262,7 @@ def read_scenes(folder: Path) -> list[Recorded]:
     OSError
         If a file cannot be read.
     ImportError
-        If there are masks or images, and scikit-image is not installed.
+        If there are masks, and scikit-image is not installed, or images, and Pillow is not.
 
     Examples
     --------

@@ -1,0 +1,95 @@
+"""Images that Pillow reads, an extra: PNG, JPEG and many others, but no sample that it changes.
+
+Examples
+--------
+>>> import io
+>>> file = io.BytesIO()
+>>> pillow().fromarray(np.full((2, 3), 40_000, np.uint16)).save(file, "PNG")
+>>> read_by_pillow(file.getvalue())
+array([[40000, 40000, 40000],
+       [40000, 40000, 40000]], dtype=uint16)
+"""
+
+import io
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_PLAIN = {"1", "L", "LA", "RGB", "RGBA"}
+_PALETTES = {"P", "PA"}
+_PNG = b"\x89PNG\r\n\x1a\n"
+_GRAY = 0
+
+
+def pillow() -> ModuleType:
+    """Return Pillow's module of images.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed; the message names the extra.
+
+    Examples
+    --------
+    >>> pillow().__name__
+    'PIL.Image'
+    """
+    try:
+        from PIL import Image  # noqa: PLC0415  an extra, imported where used
+    except ImportError as error:
+        raise ImportError("Reading this image needs Pillow: pip install 'mexpress[image]'") from error
+    return Image
+
+
+def read_by_pillow(content: bytes) -> NDArray[Any]:
+    """Read an image.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+
+    Returns
+    -------
+    ndarray, (height, width) or (height, width, channels)
+        The samples: bool of a black and white image, uint8, or uint16 of a gray PNG of 16 bits. Those of a palette are
+        its colours.
+
+    Raises
+    ------
+    ValueError
+        If Pillow cannot read it, or would change its samples; the message says why.
+    ImportError
+        If Pillow is not installed.
+
+    Examples
+    --------
+    >>> read_by_pillow(b"nothing")
+    Traceback (most recent call last):
+        ...
+    ValueError: it is no image that Pillow knows
+    """
+    library = pillow()
+    samples: NDArray[Any]
+    is_png = content.startswith(_PNG) and len(content) > 25
+    bits, colour = content[24:26] if is_png else (8, _GRAY)
+    if bits == 16 and colour != _GRAY:
+        raise ValueError("it has channels of 16 bits, which Pillow would cut to 8; a TIFF can have them")
+    try:
+        with library.open(io.BytesIO(content)) as image:
+            colours = "RGBA" if image.has_transparency_data else "RGB"
+            plain = image.convert(colours) if image.mode in _PALETTES else image
+            mode, samples = plain.mode, np.array(plain)
+    except library.UnidentifiedImageError:
+        raise ValueError("it is no image that Pillow knows") from None
+    except Exception as error:  # whatever the reader of the format meets first in damaged bytes
+        raise ValueError(str(error)) from error
+    if bits == 16:
+        return samples.astype(np.uint16)
+    if mode not in _PLAIN:
+        raise ValueError(f"it is of Pillow's mode {mode}; gray, RGB and RGBA of 8 bits can be read")
+    if bits in {2, 4} and mode == "L":
+        samples //= 255 // (2**bits - 1)  # Pillow stretches them to 8 bits
+    return samples
