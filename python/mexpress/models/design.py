@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import Region
+from mexpress.geometry import Region, middle
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import Lifting, NestedSplines, ThinPlateSpline
 from mexpress.models.base import Model
@@ -389,8 +389,7 @@ def linear_design(
     `points` (n, 2) are finite; `values` (n,) or (n, d) are depths, points in space, or target points of a warp; `kind`
     is `Surface` or `Warp`.
     """
-    lowest = values.min(axis=0)
-    centre = np.asarray(lowest + np.ptp(values, axis=0) / 2)
+    centre = middle(values)
     data = Observations(points, values)
     return LinearDesign(basis.at(points), values - centre, basis, domain, kind, data, centre)
 
@@ -428,10 +427,8 @@ def fractional_design(
     functions = basis.at(source)
     n, count = functions.shape
     lowest = target.min(axis=0)
-    middle = (target - lowest).mean(
-        axis=0
-    )  # far from zero, the mean of the target itself would be a rounded one
-    about = (target - lowest) - middle
+    mean = (target - lowest).mean(axis=0)  # the mean of the target itself is rounded far from zero
+    about = (target - lowest) - mean
     scale = float(np.sqrt((about**2).sum(axis=1).mean())) or 1.0
     if over_data is None:
         over_data = not (isinstance(basis, CardinalBasis) and isinstance(basis.functions, ThinPlateSpline))
@@ -449,7 +446,7 @@ def fractional_design(
         domain,
         kind,
         Observations(source, target, over_data=over_data),
-        lowest + middle,
+        lowest + mean,
         scale,
         normal,
     )

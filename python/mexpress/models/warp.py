@@ -19,7 +19,7 @@ _SAMPLES = 1000
 """Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
 
 _TOLERANCE, _ROUNDING = 1e-11, 16
-"""What `inverse` accepts: a fraction of the size of the domain's image, but so many units in the last place at least."""
+"""What `inverse` accepts: a fraction of the size of the domain's image, but so many units in the last place."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
