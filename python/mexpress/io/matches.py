@@ -155,7 +155,7 @@ def read_points(path: Path_) -> Floats:
     Returns
     -------
     ndarray, (n, 2)
-        The points.
+        The points; NaN in the rows of those that are not known, as results of `mexpress apply` have them.
 
     Raises
     ------
@@ -175,10 +175,10 @@ def read_points(path: Path_) -> Floats:
     """
     path = Path(path)
     if path.suffix.lower() not in ARCHIVES:
-        return read_text(path, "points", [POINT_COLUMNS])
+        return check.queries(read_text(path, "points", [POINT_COLUMNS], missing=True), "points")
     arrays = read_arrays(path, "points")
     rule = f"{path.name} must hold one (n, 2) array (among several: points)."
-    return check.points(_the_array(arrays, ("points",), 2, rule), "points")
+    return check.queries(_the_array(arrays, ("points",), 2, rule), "points")
 
 
 def write_matches(path: Path_, source: ArrayLike, target: ArrayLike) -> None:
