@@ -92,7 +92,7 @@ def middle(values: Floats) -> Floats:
     Examples
     --------
     >>> middle(np.array([[1e9, 0.0], [1e9 + 4, 1.0]]))
-    array([1.0e+09, 5.0e-01])
+    array([1.e+09, 5.e-01])
     """
     return np.asarray(values.min(axis=0) + np.ptp(values, axis=0) / 2)
 

@@ -10,7 +10,7 @@ import warnings
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 import mexpress as mx
 from mexpress.geometry import covered_region, inside, lattice
@@ -21,6 +21,8 @@ from mexpress.suspicion import SuspicionWarning
 
 SIZE = 512
 FAR = 2**39  # 10^9 times the size
+
+SELECTIONS = settings(max_examples=max(5, settings().max_examples // 10))  # each takes a second or two
 
 SEEDS = st.integers(0, 10**6)
 POWERS = st.integers(-15, 15).map(lambda k: 4.0**k)  # whose roots are powers of two
@@ -110,6 +112,7 @@ def comes_back(warp, points):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, WARPS, POWERS, POWERS)
 def test_a_warp_is_the_same_in_units_of_any_powers_of_four(seed, ways, s, t):
     source = positions(seed)
@@ -121,6 +124,7 @@ def test_a_warp_is_the_same_in_units_of_any_powers_of_four(seed, ways, s, t):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, WARPS, SCALES, SCALES)
 def test_a_warp_is_the_same_in_any_units(seed, ways, s, t):
     source = positions(seed)
@@ -132,6 +136,7 @@ def test_a_warp_is_the_same_in_any_units(seed, ways, s, t):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, WARPS, PLACES, PLACES)
 def test_a_warp_is_the_same_about_any_origins(seed, ways, here, there):
     source = positions(seed)
@@ -153,6 +158,7 @@ def test_a_warp_is_the_same_about_any_origins(seed, ways, here, there):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, WARPS, PLACES)
 def test_the_origin_of_the_target_changes_no_bit_of_a_score(seed, ways, there):
     source = positions(seed)
@@ -163,6 +169,7 @@ def test_the_origin_of_the_target_changes_no_bit_of_a_score(seed, ways, there):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, SURFACES, POWERS, POWERS)
 def test_a_surface_is_the_same_in_units_of_any_powers_of_four(seed, ways, s, t):
     points = positions(seed)
@@ -174,6 +181,7 @@ def test_a_surface_is_the_same_in_units_of_any_powers_of_four(seed, ways, s, t):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, SURFACES, SCALES, SCALES)
 def test_a_surface_is_the_same_in_any_units(seed, ways, s, t):
     points = positions(seed)
@@ -185,6 +193,7 @@ def test_a_surface_is_the_same_in_any_units(seed, ways, s, t):
 
 
 @pytest.mark.slow
+@SELECTIONS
 @given(SEEDS, SURFACES, PLACES, st.integers(-FAR, FAR))
 def test_a_surface_is_the_same_about_any_origins(seed, ways, here, level):
     points = positions(seed)
