@@ -181,6 +181,17 @@ ANY_LENGTH = {  # arrays of which any number of rows will do
     "Warp interval",
     "Surface domain",
 }
+QUERIES = {  # arrays of positions at which models are asked: there need not be any, and some may not be known
+    "Warp",
+    "Surface",
+    "Surface derivatives",
+    "Surface normals",
+    "Surface error",
+    "Surface covers",
+    "Surface interval",
+    "Warp error",
+    "Warp interval",
+}
 INDICES = {
     "held_out_residuals": ("rows", MODEL.held_out_residuals),
     "from_sets held_out": ("held_out", lambda x: s.from_sets([x], n=N).held_out.indices),
@@ -394,14 +405,20 @@ SHORT = {
     "weights": (None, np.ones(N)),
     "penalty": (None, np.zeros((0, 3))),
 }
-RIGHT = {("smoothing", "a number"), ("weights", "none"), ("penalty", "none"), ("penalty", "no rows")}
+RIGHT = {
+    ("smoothing", "a number"),
+    ("weights", "none"),
+    ("penalty", "none"),
+    ("penalty", "no rows"),
+    *((name, "no rows") for name in QUERIES),
+}
 
 
 def wrong_arrays():
     """Yield arguments and what is wrong: for two of them everything, for the others a type and a shape, in turn."""
     for turn, (name, (argument, *_)) in enumerate(ARRAYS.items()):
         types, shapes = (
-            [wrong for wrong in group if (argument, wrong) not in RIGHT]
+            [wrong for wrong in group if not {(argument, wrong), (name, wrong)} & RIGHT]
             for group in (WRONG_TYPES, WRONG_SHAPES)
         )
         if name in {

@@ -99,6 +99,19 @@ def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     return _bounded(array, name, "Coordinates", LARGEST_COORDINATE)
 
 
+def queries(value: ArrayLike, name: str) -> Floats:
+    """Positions in the plane where a model is asked, (k, 2), k from 0 on: one that is not known is a row of NaN.
+
+    Infinite ones and those beyond the largest coordinate are not known either, since models map points to such places:
+    what one model returns, any other takes.
+    """
+    array = real(value, name)
+    if array.ndim != 2 or array.shape[1] != 2:
+        refuse(name, "They must be positions of shape (k, 2).", f"shape {array.shape}")
+    known = (np.abs(array) <= LARGEST_COORDINATE).all(axis=1)
+    return array if known.all() else np.where(known[:, None], array, np.nan)
+
+
 def _bounded(array: Floats, name: str, what: str, limit: float) -> Floats:
     """The array itself, if it is finite and does not exceed a limit."""
     largest = max(float(finite(array, name).max()), -float(array.min()))

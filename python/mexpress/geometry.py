@@ -61,12 +61,58 @@ def thinness(points: Floats) -> float:
     >>> thinness(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 1.0], [10.0, 1.0]])).__round__(6)
     0.1
     """
-    centred = points - points.mean(axis=0)
+    centred = about_mean(points)
     size = np.abs(centred).max()
     if len(points) < 3 or size == 0:
         return 0.0
     along, across = np.linalg.svd(centred / size, compute_uv=False)
     return float(across / along)
+
+
+def about_mean(points: Floats) -> Floats:
+    """Return points (n, d) relative to their mean, the same wherever they are.
+
+    The mean of coordinates far from zero is rounded; of differences between them it is not, and these are exact.
+
+    Examples
+    --------
+    >>> points = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 1.0]])
+    >>> bool((about_mean(points) == about_mean(points + 2.0**50)).all())
+    True
+    """
+    offsets = points - points.min(axis=0)
+    return np.asarray(offsets - offsets.mean(axis=0))
+
+
+def middle(values: Floats) -> Floats:
+    """Return the middle between the smallest and the largest of values, (n,) or (n, d): a constant near all of them.
+
+    Models are fitted and placed relative to it: values far from zero would lose their digits.
+
+    Examples
+    --------
+    >>> middle(np.array([[1e9, 0.0], [1e9 + 4, 1.0]]))
+    array([1.e+09, 5.e-01])
+    """
+    return np.asarray(values.min(axis=0) + np.ptp(values, axis=0) / 2)
+
+
+def without_ties(values: Floats) -> Floats:
+    """Return values of at least 0, (n,), of which those that differ by rounding are equal.
+
+    On a grid many distances are the same, and which of them is the largest would depend on the unit.
+
+    Examples
+    --------
+    >>> without_ties(np.array([0.3, 2.0, 0.1 + 0.2]))
+    array([0.3, 2. , 0.3])
+    """
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    apart = np.append(True, np.diff(ordered) > EDGE * ordered[1:])
+    equal = np.empty_like(values)
+    equal[order] = ordered[apart][np.cumsum(apart) - 1]
+    return equal
 
 
 def covered_region(points: ArrayLike, name: str = "points") -> Floats:
@@ -138,12 +184,13 @@ def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
     """
     # A convex region is above the lines of its lower edges, which run to the right, and below those of the upper ones.
     low, extent = corners.min(axis=0), np.ptp(corners, axis=0)
+    corners, x, y = corners - low, x - low[0], y - low[1]  # exact, so that rounding is the same far from zero
     edges = np.roll(corners, -1, axis=0) - corners
     sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # other edges are the left and the right end
     (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
     lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
     below, above = lines[dx > 0].max(axis=0), lines[dx < 0].min(axis=0)
-    between = (x >= low[0] - EDGE * extent[0]) & (x <= low[0] + (1 + EDGE) * extent[0])
+    between = (x >= -EDGE * extent[0]) & (x <= (1 + EDGE) * extent[0])
     return np.asarray(between & (y >= below - EDGE * extent[1]) & (y <= above + EDGE * extent[1]))
 
 

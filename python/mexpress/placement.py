@@ -9,11 +9,13 @@ from mexpress._validation import Floats, Integers
 from mexpress.geometry import (
     NEAR_LINE,
     Region,
+    about_mean,
     area,
     covered_region,
     diagonal,
     hull,
     lattice,
+    middle,
     moments,
     thinness,
     whitened,
@@ -26,6 +28,9 @@ COINCIDENT = 1e-5
 
 SPACING = 0.025
 """Default smallest distance in `by_residual`, as a fraction of the diagonal of the data's bounding box."""
+
+_EXACT = 1e-12
+"""Placement by residual ends at residuals of this fraction of the largest value that the core is given."""
 
 _DRAWS = 100
 
@@ -76,6 +81,8 @@ def lloyd(
     corners = Region.of(points).corners
     count = check.count(count, "count", 3)
     random, threads = check.generator(seed), check.threads(threads)
+    origin = corners.min(axis=0)  # exact differences, so that rounding is the same far from zero
+    corners = corners - origin
     centroid, shape, _ = moments(corners)
     samples = whitened(lattice(corners, max(2000, 60 * count)), centroid, shape)
     isotropic = shape / np.linalg.norm(shape)
@@ -88,7 +95,7 @@ def lloyd(
         white = np.asarray(np.linalg.solve(frame, centres.T).T)
         if thinness(white) > 0.1:
             break
-    return np.asarray(centroid + white @ shape.T)
+    return np.asarray(origin + (centroid + white @ shape.T))
 
 
 def farthest_first(points: ArrayLike, max_count: int) -> Integers:
@@ -130,8 +137,8 @@ def farthest_first(points: ArrayLike, max_count: int) -> Integers:
 def farthest_order(points: Floats, max_count: int) -> Integers:
     """`farthest_first` of checked points that cover a region."""
     # Scaling by a power of two is exact and keeps ties; squares then neither overflow nor underflow.
-    x, y = np.ldexp(points, -int(np.frexp(diagonal(points))[1])).T.copy()
-    first = int(_squares(x, y, x.mean(), y.mean()).argmax())
+    x, y = np.ldexp(about_mean(points), -int(np.frexp(diagonal(points))[1])).T.copy()
+    first = int(_squares(x, y, 0.0, 0.0).argmax())
     second = int(_squares(x, y, x[first], y[first]).argmax())
     a, b = x[second] - x[first], y[second] - y[first]
     chosen = [first, second, int(np.abs(b * (x - x[first]) - a * (y - y[first])).argmax())]
@@ -169,7 +176,8 @@ def by_residual(
     The first three are random. Then a thin-plate spline with the control points so far (an affine function at first) is
     fitted to all data by plain least squares. Of the data farther than `min_distance` from every control point, the one
     with the largest residual is next, until there are `max_count` control points or no such datum. The placement also
-    ends when no residual exceeds 1e-12 of the largest value: data exactly on a plane get three control points.
+    ends when no residual exceeds 1e-12 of the values' spread, or eight units in their last place: data exactly on a
+    plane get three control points.
 
     Parameters
     ----------
@@ -249,13 +257,24 @@ def residual_order(
         rule = "It must be a distance of at least 0."
         distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * size)
     first = _spread_triangle(points, distance, random)
-    outputs = values.reshape(len(values), -1)
+    outputs = _near_zero(values).reshape(len(values), -1)
     return _core.place_by_residual(points, outputs, first, min(max_count, len(points)), distance, threads)
+
+
+def _near_zero(values: Floats) -> Floats:
+    """Return values less a constant, as large as the core has to take them.
+
+    It ends at residuals of 1e-12 of the largest value. Of values far from zero, 1e-12 is more than their rounding, and
+    of those relative to their middle it is less.
+    """
+    centred = values - middle(values)
+    rounding = 8 * float(np.spacing(np.abs(values).max()))
+    return np.asarray(centred + max(0.0, rounding / _EXACT - float(np.abs(centred).max())))
 
 
 def _spread_triangle(points: Floats, distance: float, random: np.random.Generator) -> tuple[int, int, int]:
     """Draw three points that are farther apart than a distance, if one of a hundred draws has such points."""
-    centred = points - points.mean(axis=0)
+    centred = about_mean(points)
     plane = np.linalg.qr(centred / np.abs(centred).max()).Q
     basis = np.column_stack([np.full(len(points), len(points) ** -0.5), plane])
     widest = COINCIDENT * diagonal(points)

@@ -26,6 +26,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
+from mexpress.geometry import EDGE
 from mexpress.index_sets import IndexSets, checked, compress, contained, singletons
 
 __all__ = [
@@ -46,6 +47,9 @@ __all__ = [
 
 # A list of more indices than this is probably a mistake.
 MOST_INDICES = 100_000_000
+
+_CELLS = 65_534
+"""Cells along the largest extent of data, which are put in order by them; 65,536 at most."""
 
 SHARE_RULE = "It must be a share above 0 and at most 1."
 
@@ -176,7 +180,9 @@ class Places:
     @cached_property
     def order(self) -> Integers:
         """An order of the data in which successive data are near each other."""
-        return _core.hilbert_order(self.points)
+        offsets = self.points - self.points.min(axis=0)
+        # A little more than the cells of the curve, lest in some units points of a grid fall below the edges of theirs.
+        return _core.hilbert_order(np.floor(offsets / (offsets.max() or 1.0) * _CELLS + 1e-6))
 
     def within(self, radius: float, threads: int | None = None) -> Scheme:
         """List the neighbourhoods of `exclusion_radius`."""
@@ -234,7 +240,8 @@ class Places:
 
 
 def _checked_radius(radius: float) -> float:
-    return check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
+    # Data on a grid are often just at the radius, and rounding must not decide.
+    return (1 + EDGE) * check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
 
 
 def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
@@ -296,8 +303,9 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     points : (n, d) array, d from 1 to 3
         Positions of the data.
     radius : float
-        Distance up to which data are held out (d <= radius), in the unit of the points; 0 holds out the datum and
-        data that coincide with it. The paper advises 5 to 10 % of the domain's diagonal.
+        Distance up to which data are held out (d <= radius, to within 1e-9 of it because of rounding), in the unit of
+        the points; 0 holds out the datum and data that coincide with it. The paper advises 5 to 10 % of the domain's
+        diagonal.
     threads : int, optional
         Largest number of threads.
 

@@ -18,6 +18,7 @@ from inputs import (
     NUMBERS,
     OPTIONAL,
     POINTS,
+    QUERIES,
     SHORT,
     TARGET,
     WRONG,
@@ -122,8 +123,21 @@ def test_any_number_of_rows_will_do(name):
     assert np.isfinite(call(value[:-1])).all()
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e101, -1e300])
+@pytest.mark.parametrize("name", sorted(QUERIES))
+def test_what_is_asked_nowhere_is_unknown_in_its_row_alone(name, bad):
+    _, value, call = ARRAYS[name]
+    expected, value = call(value), value.copy()
+    value[2, 1] = bad
+    found = call(value)
+    assert found.dtype == expected.dtype
+    assert (np.isnan(found[2]) if found.dtype.kind == "f" else ~found[2]).all()
+    np.testing.assert_array_equal(np.delete(found, 2, axis=0), call(np.delete(value, 2, axis=0)))
+    assert call(value[:0]).shape == (0, *expected.shape[1:])
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("name", [name for name in ARRAYS if name not in QUERIES])
 def test_what_is_not_finite_is_refused_and_located(name, bad):
     argument, value, call = ARRAYS[name]
     value = value.copy()

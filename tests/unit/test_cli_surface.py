@@ -240,10 +240,13 @@ def test_apply_is_the_surface(run, tmp_path, width):
     status, text, errors = run("apply", tmp_path / "s.npz", tmp_path / "p.csv")
     assert (status, errors) == (0, "")
     header, *rows = text.splitlines()
-    assert header == {1: "z", 2: "x,y", 3: "x,y,z", 4: "value1,value2,value3,value4"}[width] + ",error"
+    names = {1: "x,y,z", 2: "x,y", 3: "x,y,z", 4: "value1,value2,value3,value4"}
+    assert header == names[width] + ",error"
     table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
-    values = table[:, :-1]
+    values = table[:, 2:-1] if width == 1 else table[:, :-1]
     np.testing.assert_array_equal(values, surface(SHEET[:9, :2]))
+    if width == 1:
+        np.testing.assert_array_equal(table[:, :2], SHEET[:9, :2])
     np.testing.assert_array_equal(table[:, -1], surface.error(SHEET[:9, :2]))
     status, text, _ = run("apply", tmp_path / "s.npz", tmp_path / "p.csv", "--out", tmp_path / "v.csv")
     assert (status, text) == (0, "")
@@ -257,7 +260,7 @@ def test_apply_of_a_depth(run, tmp_path, model):
     assert status == 0
     surface, points = mx.load(model), [[0.5, 0.5], [-3, 0.1]]
     (near, far), (expected, guess) = surface(points), surface.error(points)
-    assert text == f"z,error\n{near},{expected}\n{far},{guess}\n"
+    assert text == f"x,y,z,error\n0.5,0.5,{near},{expected}\n-3.0,0.1,{far},{guess}\n"
     assert "1 of 2 points are outside the region of the data: the surface extrapolates there" in errors
 
 

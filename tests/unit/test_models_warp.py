@@ -496,9 +496,7 @@ def test_a_warp_does_not_change_with_the_arrays_it_was_made_from():
 
 # Hostile input
 
-NONE_POINTS = [
-    [[0, np.nan]],
-    [[np.inf, 0]],
+NO_QUERIES = [
     [0, 1],
     [[0, 1, 2]],
     [["a", "b"]],
@@ -506,11 +504,11 @@ NONE_POINTS = [
     None,
     [[1, 2], [3]],
     [],
-    np.empty((0, 2)),
 ]
+NONE_POINTS = [*NO_QUERIES, [[0, np.nan]], [[np.inf, 0]], np.empty((0, 2))]
 
 
-@pytest.mark.parametrize("points", NONE_POINTS)
+@pytest.mark.parametrize("points", NO_QUERIES)
 @pytest.mark.parametrize("method", ["__call__", "jacobian", "denominator", "vanishes", "folds", "inverse"])
 def test_points_that_are_none_are_refused(method, points):
     with pytest.raises((ValueError, TypeError), match=r"Invalid points\. .* Given "):

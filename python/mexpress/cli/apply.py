@@ -25,9 +25,10 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "apply",
         help="evaluate a saved model at points",
         description="Map points from the source image to the target image with the warp in a file, or evaluate "
-        "the surface in a file at points: a depth as column z, a point in space as columns x, y, z. If the model has "
-        "the data of its fit, a column error has the error to expect: the root mean square difference from a "
-        "measurement, its norm if there are several values.",
+        "the surface in a file at points: a depth or a point in space, as columns x, y, z. Points that are "
+        "nan have rows of nan, so that results are read like any points. If the model has the data of its fit, a "
+        "column error has the error to expect: the root mean square difference from a measurement, its norm if there "
+        "are several values.",
     )
     add = parser.add_argument
     add(
@@ -55,15 +56,21 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     model = files.load(arguments.model)
     points = _read(arguments)
+    known = np.isfinite(points).all(axis=1)
+    if not known.all():
+        common.warn(f"{(~known).sum()} of {len(points)} points are not known, and nan in the result")
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
-        _warn_doubtful(model, mapped if arguments.inverse else points, mapped)
+        _warn_doubtful(model, (mapped if arguments.inverse else points)[known], mapped[known])
     elif isinstance(model, Surface):
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
-        _write(model(points), _error(model, points), arguments.out)
-        common.warn_outside(model.domain, points, len(points), "the region of the data: the surface")
+        table = model(points).reshape(len(points), -1)
+        if table.shape[1] == 1:  # a depth with its position is a point in space, which can be read again
+            table = np.column_stack([np.where(known[:, None], points, np.nan), table])
+        _write(table, _error(model, points), arguments.out)
+        common.warn_outside(model.domain, points[known], len(points), "the region of the data: the surface")
     else:
         check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
 
@@ -91,9 +98,8 @@ def _error(model: FittedModel, points: Floats) -> Floats | None:
     return error
 
 
-def _write(values: Floats, error: Floats | None, path: Path | None) -> None:
-    table = values.reshape(len(values), -1)
-    names = {1: ["z"], 2: ["x", "y"], 3: ["x", "y", "z"]}
+def _write(table: Floats, error: Floats | None, path: Path | None) -> None:
+    names = {2: ["x", "y"], 3: ["x", "y", "z"]}
     columns = names.get(table.shape[1]) or [f"value{k}" for k in range(1, table.shape[1] + 1)]
     if error is not None:
         table, columns = np.column_stack([table, error]), [*columns, "error"]

@@ -227,7 +227,7 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
     Returns
     -------
     ndarray, (n, 2)
-        The points.
+        The points; NaN in the rows of those that are not known, as results of `mexpress apply` have them.
 
     Raises
     ------

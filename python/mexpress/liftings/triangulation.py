@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mexpress import _core
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
+from mexpress.geometry import about_mean
 
 Indices: TypeAlias = NDArray[np.intp]
 
@@ -154,7 +155,7 @@ def _turns(points: Floats) -> tuple[Indices, Indices, Indices]:
     the direction of a shorter edge and is omitted: the triangle between them is empty. Angles are measured in
     coordinates with equal spread along x and y, which keep the order of directions and which a thin strip needs.
     """
-    about = points - points.mean(axis=0)
+    about = about_mean(points)
     about = about / np.abs(about).max()
     white = np.linalg.solve(np.linalg.cholesky(about.T @ about), about.T).T
     # Every cell of a grid can be cut in two ways. This metric, close to the usual one, cuts all cells the same way;

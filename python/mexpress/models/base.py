@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -66,7 +66,7 @@ class Model(ABC):
 
     @abstractmethod
     def __call__(self, points: ArrayLike) -> Floats:
-        """Return the model's values at points, (k, 2)."""
+        """Return the model's values at points, (k, 2); NaN at points that are not known."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Caches are not pickled, and unpickled arrays are read-only again.
@@ -142,3 +142,36 @@ class Model(ABC):
         lifting = make_lifting(str(arrays["lifting"]), arrays["control_points"])
         smoothing, data = float(arrays["smoothing"]), Observations.from_arrays(arrays)
         return cls(lifting, arrays["parameters"], arrays["domain"], smoothing, data)
+
+
+def row_by_row(
+    points: Floats, function: Callable[[Floats], NDArray[Any]], unknown: float | bool = np.nan
+) -> NDArray[Any]:
+    """Return a function's values at points (k, 2), row by row; `unknown` where a position is NaN.
+
+    Examples
+    --------
+    >>> row_by_row(np.array([[3.0, 4.0], [np.nan, 4.0]]), lambda points: np.hypot(*points.T))
+    array([ 5., nan])
+    """
+    known = ~np.isnan(points).any(axis=1)
+    if known.all():
+        return function(points)
+    values = function(points[known])
+    everywhere = np.full((len(points), *values.shape[1:]), unknown, dtype=values.dtype)
+    everywhere[known] = values
+    return everywhere
+
+
+def nearest_constant(numerators: Floats, denominators: Floats) -> Floats:
+    """Return the constants c, (d,), for which numerators (l, d) are closest to c times denominators (l, 1).
+
+    Far from zero a model is evaluated without its constant part, which is then added: it would take the digits of the
+    rest.
+
+    Examples
+    --------
+    >>> nearest_constant(np.array([[5.0, 1.0], [7.0, 1.0]]), np.ones((2, 1))).round(9)
+    array([6., 1.])
+    """
+    return np.asarray(np.linalg.lstsq(denominators, numerators, rcond=None)[0][0])

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import Region
+from mexpress.geometry import Region, middle
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.liftings import Lifting, NestedSplines, ThinPlateSpline
 from mexpress.models.base import Model
@@ -257,7 +257,10 @@ class LinearDesign(Design[ModelT]):
     A : ndarray, (n, l)
         Functions at the data.
     b : ndarray, (n,) or (n, d)
-        Values at the data.
+        Values at the data, relative to the centre.
+    centre : ndarray, () or (d,)
+        Middle between the smallest and the largest value. All functions sum to one, so that a constant changes nothing
+        but digits: of values far from zero, few would be left.
 
     Examples
     --------
@@ -272,6 +275,8 @@ class LinearDesign(Design[ModelT]):
     Surface(depth, tps, 3 control points)
     """
 
+    centre: Floats
+
     def columns(self, count: int) -> int:
         """Return the number of columns of the first control points: one each."""
         return count
@@ -284,15 +289,15 @@ class LinearDesign(Design[ModelT]):
         """Return the model of a solution, see `Design`."""
         count = self.count if count is None else count
         parameters = self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
-        return self._model(count, parameters, smoothing)
+        return self._model(count, self.centre + parameters, smoothing)
 
     def rows_at(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the functions at points: every value is a number."""
         return self.basis.at(points)[None], np.zeros((1, len(points)))
 
     def values_of(self, numbers: Floats) -> Floats:
-        """Return the numbers, which are the values."""
-        return np.asarray(numbers[0])
+        """Return the centre plus the numbers: the values."""
+        return np.asarray(self.centre + numbers[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -384,7 +389,9 @@ def linear_design(
     `points` (n, 2) are finite; `values` (n,) or (n, d) are depths, points in space, or target points of a warp; `kind`
     is `Surface` or `Warp`.
     """
-    return LinearDesign(basis.at(points), values, basis, domain, kind, Observations(points, values))
+    centre = middle(values)
+    data = Observations(points, values)
+    return LinearDesign(basis.at(points), values - centre, basis, domain, kind, data, centre)
 
 
 def fractional_design(
@@ -419,8 +426,9 @@ def fractional_design(
     """
     functions = basis.at(source)
     n, count = functions.shape
-    centre = target.mean(axis=0)
-    about = target - centre
+    lowest = target.min(axis=0)
+    mean = (target - lowest).mean(axis=0)  # the mean of the target itself is rounded far from zero
+    about = (target - lowest) - mean
     scale = float(np.sqrt((about**2).sum(axis=1).mean())) or 1.0
     if over_data is None:
         over_data = not (isinstance(basis, CardinalBasis) and isinstance(basis.functions, ThinPlateSpline))
@@ -438,7 +446,7 @@ def fractional_design(
         domain,
         kind,
         Observations(source, target, over_data=over_data),
-        centre,
+        lowest + mean,
         scale,
         normal,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import Region, hull, inside, nearest
+from mexpress.geometry import EDGE, Region, hull, inside, nearest, without_ties
 from mexpress.index_sets import compress
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Places, Scheme
@@ -155,7 +155,7 @@ class ErrorCurves:
         data = validated.indices
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             squares = (residuals.reshape(len(data), -1) ** 2).sum(axis=1) / units[data] ** 2
-        distances = np.concatenate([gap.distances for gap in gaps])
+        distances = without_ties(np.concatenate([gap.distances for gap in gaps]))
         outside = np.concatenate([gap.outside for gap in gaps])
         shares = np.ones(len(data)) if weights is None else weights[data]
         near, far = (
@@ -192,7 +192,7 @@ def _neighbourhoods(points: Floats, domain: Region, number: int) -> Iterator[Gap
     for centre, row in zip(centres.tolist(), distances, strict=True):
         size = 0
         for radius in radii:
-            within = row <= radius
+            within = row <= (1 + EDGE) * radius
             if within.sum() > most:
                 break
             if within.sum() > size:

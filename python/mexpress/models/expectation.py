@@ -14,7 +14,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, inside, nearest
-from mexpress.models.base import Model
+from mexpress.models.base import Model, row_by_row
 from mexpress.models.design import Design
 from mexpress.models.error_curves import ErrorCurve, ErrorCurves
 from mexpress.models.jackknife import Interval, jackknife_plus
@@ -57,7 +57,8 @@ class FittedModel(Model):
         ndarray, (k,)
             Root mean square difference of a measurement there from the model, in the unit of the values: the noise of a
             measurement is in it. Of d values it is the norm of the difference; that of one value is smaller by a factor
-            of sqrt(d) if all differ alike. Infinite if no datum can be predicted from the others.
+            of sqrt(d) if all differ alike. Infinite if no datum can be predicted from the others, NaN where a position
+            is not known.
 
         Raises
         ------
@@ -84,9 +85,11 @@ class FittedModel(Model):
         >>> bool(far > 3 * near)
         True
         """
-        points = check.points(points, "points")
-        distance = nearest(points, self._known("error").points)[1]
-        return self.error_curves(distance, self._inside(points))
+        data = self._known("error").points
+        return row_by_row(
+            check.queries(points, "points"),
+            lambda known: self.error_curves(nearest(known, data)[1], self._inside(known)),
+        )
 
     def covers(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Tell where `error` has been tested: inside the region of the data, in no gap wider than could be tested.
@@ -100,7 +103,7 @@ class FittedModel(Model):
         -------
         ndarray of bool, (k,)
             True inside the convex hull of the data if the nearest datum is not farther than in the predictions that
-            `error` rests on.
+            `error` rests on; False where a position is not known.
 
         Raises
         ------
@@ -114,10 +117,13 @@ class FittedModel(Model):
         >>> mx.fit_surface(points, np.sin(points[:, 0]), points[:50]).covers([[3, 3], [9, 3]])
         array([ True, False])
         """
-        points = check.points(points, "points")
-        distance = nearest(points, self._known("covers").points)[1]
-        tested = self.error_curves.inside
-        return self._inside(points) & (distance <= tested.reach) & np.isfinite(tested(distance))
+        data, tested = self._known("covers").points, self.error_curves.inside
+
+        def covered(known: Floats) -> NDArray[np.bool_]:
+            distance = nearest(known, data)[1]
+            return self._inside(known) & (distance <= tested.reach) & np.isfinite(tested(distance))
+
+        return row_by_row(check.queries(points, "points"), covered, unknown=False)
 
     def interval(self, points: ArrayLike, level: float = 0.9) -> Interval:
         """Return an interval for a measurement at each point by jackknife+, from all leave-one-out models.
@@ -133,7 +139,8 @@ class FittedModel(Model):
         -------
         Interval
             Bounds in the shape of the values, (k,) or (k, d). They are infinite if 1 / alpha - 1 data are not there,
-            or if too many data are such that the others do not determine the model.
+            or if too many data are such that the others do not determine the model. NaN where a position is not
+            known.
 
         Raises
         ------
@@ -167,12 +174,18 @@ class FittedModel(Model):
         >>> round(float(np.mean((interval.lower <= values) & (values <= interval.upper))), 2)
         0.89
         """
-        points = check.points(points, "points")
+        points = check.queries(points, "points")
         rule = "It must be between 0 and 1."
         share = check.number(level, "level", rule, 0.0, strict=True)
         if share >= 1:
             check.refuse("level", rule, check.describe(level))
-        return jackknife_plus(self._design(self._known("interval")), self.smoothing, points, share)
+        design = self._design(self._known("interval"))
+
+        def bounds(known: Floats) -> Floats:
+            found = jackknife_plus(design, self.smoothing, known, share)
+            return np.stack([found.lower, found.upper], axis=1)
+
+        return Interval(*np.moveaxis(row_by_row(points, bounds), 1, 0))
 
     @cached_property
     def error_curves(self) -> ErrorCurves:

@@ -25,7 +25,7 @@ class Interval:
     Parameters
     ----------
     lower, upper : (k,) or (k, d) array
-        In the unit of the values; infinite where the data are too few for a bound.
+        In the unit of the values; infinite where the data are too few for a bound, NaN where there is no position.
 
     Examples
     --------
@@ -37,7 +37,10 @@ class Interval:
     upper: Floats
 
     def __repr__(self) -> str:
-        return f"Interval({len(self.lower)} points, median width {np.median(self.upper - self.lower):.4g})"
+        widths = self.upper - self.lower
+        widths = widths[~np.isnan(widths)]
+        known = f", median width {np.median(widths):.4g}" if widths.size else ""
+        return f"Interval({len(self.lower)} points{known})"
 
 
 class Jackknife(Generic[ModelT]):
@@ -113,13 +116,14 @@ def jackknife_plus(design: Design[ModelT], smoothing: float, points: Floats, lev
     spread = np.abs(jackknife.residuals())
     n = len(spread)
     rank = math.floor((1 - level) * (n + 1) + 1e-9)  # (1 - 0.9) * 10 is below 1
-    bounds = [
-        (_smallest(_defined(values - spread), rank), -_smallest(_defined(-values - spread), rank))
-        for values in jackknife.predictions(points)
-    ]
+    lower, upper = np.empty((2, len(points), spread.shape[1]))
+    first = 0
+    for values in jackknife.predictions(points):
+        some = slice(first, first := first + len(values))
+        lower[some] = _smallest(_defined(values - spread), rank)
+        upper[some] = -_smallest(_defined(-values - spread), rank)
     shape = len(points), *design.data.values.shape[1:]
-    lower, upper = (np.concatenate(parts).reshape(shape) for parts in zip(*bounds, strict=True))
-    return Interval(lower, upper)
+    return Interval(lower.reshape(shape), upper.reshape(shape))
 
 
 def _defined(bounds: Floats) -> Floats:

@@ -13,6 +13,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.geometry import EDGE, Region, area, inside
 from mexpress.io import meshes
+from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.design import CardinalBasis, Design, linear_design
 from mexpress.models.expectation import FittedModel
 from mexpress.models.observations import Observations
@@ -162,7 +163,7 @@ class Surface(FittedModel):
         Returns
         -------
         ndarray, (k,) or (k, d)
-            In the unit of the data's values.
+            In the unit of the data's values; NaN where a position is not known: NaN, infinite or beyond 1e100.
 
         Examples
         --------
@@ -171,7 +172,10 @@ class Surface(FittedModel):
         >>> mx.fit_surface(square, [0, 2, 2, 5], square)([[2, 2], [1, 1]]).round(6)
         array([5.  , 2.25])
         """
-        values = self.lifting.values(check.points(points, "points"), self._columns)
+        centre, about = self._centred
+        values = row_by_row(
+            check.queries(points, "points"), lambda known: centre + self.lifting.values(known, about)
+        )
         return values.reshape(len(values), *self.parameters.shape[1:])
 
     def derivatives(self, points: ArrayLike) -> Floats:
@@ -185,7 +189,7 @@ class Surface(FittedModel):
         Returns
         -------
         ndarray, (k, 2) or (k, d, 2)
-            The last index is the axis, x or y.
+            The last index is the axis, x or y. NaN where a position is not known.
 
         Examples
         --------
@@ -194,7 +198,8 @@ class Surface(FittedModel):
         >>> mx.fit_surface(square, [0, 2, 4, 6], square).derivatives([[1, 1]]).round(6)
         array([[1., 2.]])
         """
-        values = self.lifting.slopes(check.points(points, "points"), self._columns)
+        about = self._centred[1]
+        values = row_by_row(check.queries(points, "points"), lambda known: self.lifting.slopes(known, about))
         return values.reshape(len(values), *self.parameters.shape[1:], 2)
 
     def normals(self, points: ArrayLike) -> Floats:
@@ -209,7 +214,7 @@ class Surface(FittedModel):
         -------
         ndarray, (k, 3)
             For a depth f: (-f_x, -f_y, 1), normalised. For points in space: f_x x f_y, normalised; NaN where
-            f_x and f_y are parallel.
+            f_x and f_y are parallel. NaN where a position is not known.
 
         Raises
         ------
@@ -335,13 +340,16 @@ class Surface(FittedModel):
     def _units(self, points: Floats) -> Floats:
         return np.ones(len(points))
 
-    @property
-    def _columns(self) -> Floats:
-        return self.parameters.reshape(len(self.parameters), -1)
+    @cached_property
+    def _centred(self) -> tuple[Floats, Floats]:
+        """Return a constant near the values, (d,), and the parameters of what is left, (l, d)."""
+        columns = self.parameters.reshape(len(self.parameters), -1)
+        centre = nearest_constant(columns, np.ones((len(columns), 1)))
+        return centre, columns - centre
 
     @property
     def _dimension(self) -> int:
-        return int(self._columns.shape[1])
+        return self.parameters.size // len(self.parameters)
 
     def _check_space(self, purpose: str) -> None:
         if self._dimension not in {1, 3}:

@@ -10,12 +10,16 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, diagonal, lattice, nearest
+from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.design import CardinalBasis, Design, fractional_design, linear_design
 from mexpress.models.expectation import FittedModel
 from mexpress.models.observations import Observations
 
 _SAMPLES = 1000
 """Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
+
+_TOLERANCE, _ROUNDING = 1e-11, 16
+"""What `inverse` accepts: a fraction of the size of the domain's image, but so many units in the last place."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,7 +110,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (k, 2)
-            Positions in pixels of the target image; infinite or NaN where the denominator is exactly zero.
+            Positions in pixels of the target image; infinite or NaN where the denominator is exactly zero, NaN where a
+            position is not known: NaN, infinite or beyond 1e100.
 
         Examples
         --------
@@ -116,7 +121,7 @@ class Warp(FittedModel):
         >>> warp([[50, 50]]).round(6)
         array([[100.,  50.]])
         """
-        return self._map(check.points(points, "points"))
+        return row_by_row(check.queries(points, "points"), self._map)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the target position by the source position.
@@ -130,7 +135,7 @@ class Warp(FittedModel):
         -------
         ndarray, (k, 2, 2)
             Element [i, a, b] is d target_a / d source_b at point i; infinite or NaN where the denominator is
-            exactly zero.
+            exactly zero, NaN where a position is not known.
 
         Examples
         --------
@@ -140,7 +145,7 @@ class Warp(FittedModel):
         >>> warp.jacobian([[50, 50]]).round(6) + 0.0
         array([[[2., 0.], [0., 1.]]])
         """
-        return self._jacobian(check.points(points, "points"))
+        return row_by_row(check.queries(points, "points"), self._jacobian)
 
     def denominator(self, points: ArrayLike) -> Floats:
         """Return the denominator nu . p_3 at points of the source image; ones for a warp without a denominator.
@@ -153,7 +158,7 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (k,)
-            Values without a unit; the parameters have mean 1.
+            Values without a unit; the parameters have mean 1. NaN where a position is not known.
 
         Examples
         --------
@@ -164,7 +169,7 @@ class Warp(FittedModel):
         >>> float((values[1] / values[0]).round(6))
         1.666667
         """
-        return self._denominator(check.points(points, "points"))
+        return row_by_row(check.queries(points, "points"), self._denominator)
 
     def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
         """Find where the warp maps points to infinity or beyond, so that its values are meaningless.
@@ -179,7 +184,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray of bool, (k,)
-            True where the denominator is near zero, or its sign differs from that of its median over the domain.
+            True where the denominator is near zero, or its sign differs from that of its median over the domain; and
+            where a position is not known, since its image means nothing either.
 
         Examples
         --------
@@ -189,9 +195,9 @@ class Warp(FittedModel):
         >>> warp.vanishes([[50, 50], [50, -300]])
         array([False,  True])
         """
-        points, tolerance = check.points(points, "points"), check.positive(tolerance, "tolerance")
+        tolerance = check.positive(tolerance, "tolerance")
         usual = np.median(self._denominator(self._samples))
-        return np.asarray(~(self._denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
+        return np.asarray(~(self.denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
 
     def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Find where the warp folds: where the sign of the Jacobian's determinant is not that of most of the domain.
@@ -204,8 +210,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray of bool, (k,)
-            True where the determinant vanishes (to 1e-9 of the Jacobian's squared norm), is undefined, or has the
-            opposite sign.
+            True where the determinant vanishes (to 1e-9 of the Jacobian's squared norm), is undefined, as it is where a
+            position is not known, or has the opposite sign.
 
         Examples
         --------
@@ -216,9 +222,9 @@ class Warp(FittedModel):
         array([False,  True])
         """
         orientation = self._turning(self._samples).sum()
-        return np.asarray(self._turning(check.points(points, "points")) * orientation <= 0)
+        return np.asarray(row_by_row(check.queries(points, "points"), self._turning, 0) * orientation <= 0)
 
-    def inverse(self, points: ArrayLike, tolerance: float = 1e-8, max_steps: int = 50) -> Floats:
+    def inverse(self, points: ArrayLike, tolerance: float | None = None, max_steps: int = 50) -> Floats:
         """Find points of the source image that map to given points of the target image.
 
         The method is Newton's with halved steps, started at the sample of the domain with the nearest image. If the
@@ -228,16 +234,18 @@ class Warp(FittedModel):
         ----------
         points : array_like, (k, 2)
             Positions in pixels of the target image.
-        tolerance : float
-            Distance in pixels of the target image at which a solution is accepted.
+        tolerance : float, optional
+            Distance in the unit of the target image at which a solution is accepted; by default 1e-11 of the median
+            distance of the domain's image to its middle. Where the coordinates of either image have no such digits,
+            because they are far from zero, 16 units in their last place are accepted.
         max_steps : int
             Largest number of steps.
 
         Returns
         -------
         ndarray, (k, 2)
-            Positions in pixels of the source image, inside the domain or not; NaN without a solution, or where the
-            warp vanishes.
+            Positions in pixels of the source image, inside the domain or not; NaN without a solution, where the warp
+            vanishes, or where a position is not known.
 
         Examples
         --------
@@ -247,25 +255,34 @@ class Warp(FittedModel):
         >>> warp.inverse(warp([[30, 40]])).round(6)
         array([[30., 40.]])
         """
-        points = check.points(points, "points")
-        tolerance = check.positive(tolerance, "tolerance")
-        max_steps = check.count(max_steps, "max_steps", 0)
+        points, max_steps = check.queries(points, "points"), check.count(max_steps, "max_steps", 0)
+        tolerance = None if tolerance is None else check.positive(tolerance, "tolerance")
+        return row_by_row(points, lambda known: self._inverse(known, tolerance, max_steps))
+
+    def _inverse(self, points: Floats, tolerance: float | None, max_steps: int) -> Floats:
         usable = self._samples[~self.vanishes(self._samples)]
         if not len(usable):
             return np.full_like(points, np.nan)
-        sources = usable[nearest(points, self._map(usable))[0]]
-        error = points - self._map(sources)
+        images, stretch = self._map(usable), np.linalg.norm(self._jacobian(usable), axis=(1, 2))
+        start = nearest(points, images)[0]
+        sources, targets = usable[start], points - self._centred[0]
+        if tolerance is None:
+            tolerance = _TOLERANCE * float(np.median(_norm(images - np.median(images, axis=0))))
+        rounding = _ulp(points) + stretch[start] * _ulp(sources)
+        error = targets - self._map_about(sources)
         damping = np.ones(len(points))
         for _ in range(max_steps):
-            far = np.flatnonzero(_norm(error) > tolerance)
+            far = np.flatnonzero(_norm(error) > np.maximum(tolerance, rounding))
             if not len(far):
                 break
             trial = sources[far] + damping[far, None] * self._newton_step(sources[far], error[far])
-            trial_error = points[far] - self._map(trial)
+            trial_error = targets[far] - self._map_about(trial)
             better = _norm(trial_error) < _norm(error[far])  # False for NaN
             sources[far[better]], error[far[better]] = trial[better], trial_error[better]
             damping[far] = np.where(better, np.minimum(1, 2 * damping[far]), damping[far] / 2)
-        sources[(_norm(error) > tolerance) | self.vanishes(sources)] = np.nan
+        sources[(_norm(error) > np.maximum(tolerance, _ROUNDING * rounding)) | self.vanishes(sources)] = (
+            np.nan
+        )
         return sources
 
     def dense_map(self, width: int, height: int) -> NDArray[np.float32]:
@@ -319,16 +336,30 @@ class Warp(FittedModel):
             return np.ones(len(points))
         return self.lifting.values(points, self.parameters[:, 2:])[:, 0]
 
+    @cached_property
+    def _centred(self) -> tuple[Floats, Floats]:
+        """Return a centre of the target image, and the parameters of the warp to positions relative to it."""
+        numerators, denominators = self.parameters[:, :2], self.parameters[:, 2:]
+        if not self.fractional:
+            denominators = np.ones((len(numerators), 1))
+        centre = nearest_constant(numerators, denominators)
+        about = numerators - denominators * centre
+        return centre, np.column_stack([about, denominators]) if self.fractional else about
+
     def _map(self, points: Floats) -> Floats:
-        values = self.lifting.values(points, self.parameters)
+        return np.asarray(self._centred[0] + self._map_about(points))
+
+    def _map_about(self, points: Floats) -> Floats:
+        """Return positions relative to the centre of the target image."""
+        values = self.lifting.values(points, self._centred[1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return values[:, :2] / values[:, 2:] if self.fractional else values
 
     def _jacobian(self, points: Floats) -> Floats:
-        derivatives = self.lifting.slopes(points, self.parameters)
+        derivatives = self.lifting.slopes(points, self._centred[1])
         if not self.fractional:
             return derivatives
-        values = self.lifting.values(points, self.parameters)
+        values = self.lifting.values(points, self._centred[1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             target = values[:, :2, None] / values[:, 2:, None]
             return np.asarray((derivatives[:, :2] - target * derivatives[:, 2:]) / values[:, 2:, None])
@@ -359,3 +390,7 @@ def _determinant(matrices: Floats) -> Floats:
 
 def _norm(vectors: Floats) -> Floats:
     return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+
+
+def _ulp(points: Floats) -> Floats:
+    return np.asarray(np.spacing(np.abs(points).max(axis=1)))

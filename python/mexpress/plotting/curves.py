@@ -219,7 +219,13 @@ def _draw_map(axes: Axes, selection: SelectionLike, unit: str | None) -> None:
     low, high = float(np.nanmin(scores)), float(np.nanmax(scores))
     top = high if name in UNITLESS or low <= 0 else min(high, 3 * low)
     shades = axes.pcolormesh(
-        x, y, scores.T, shading="nearest", cmap="viridis", vmin=low, vmax=max(top, low + 1e-9)
+        x,
+        y,
+        scores.T,
+        shading="nearest",
+        cmap="viridis",
+        vmin=low,
+        vmax=max(top, low + 1e-9 * (abs(low) or 1.0)),
     )
     figure = axes.get_figure()
     assert figure is not None

@@ -66,7 +66,7 @@ def plot_warp(
     source, target = every[kept], target[kept]
     predicted, lines = warp(source), _grid_lines(warp)
     wide, high = np.ptp(source, axis=0)
-    figure = new_figure(12.0, float(np.clip(5.6 * high / max(wide, 1e-9) + 1.1, 3.0, 10.0)))
+    figure = new_figure(12.0, float(np.clip(5.6 * high / (wide or np.inf) + 1.1, 3.0, 10.0)))
     left, right = figure.subplots(1, 2)
     for axes, curves, points in ((left, lines, source), (right, [warp(line) for line in lines], target)):
         for curve in curves:

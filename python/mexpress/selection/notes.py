@@ -108,7 +108,7 @@ class Subject:
         known = np.isfinite(self.sizes)
         values = self.data.values.reshape(len(known), -1)
         spread = math.sqrt(values.var(axis=0).sum())
-        rounding = max(_ROUNDING * spread, 1e-12 * float(np.abs(values).max()))
+        rounding = max(_ROUNDING * spread, 16 * float(np.spacing(np.abs(values).max())))
         return bool(known.sum() < _FEWEST or np.median(self.sizes[known]) <= rounding)
 
     @cached_property
