@@ -51,6 +51,9 @@ _ROUNDING = 1e-7
 _MARGIN = 0.01
 """Points outside of the image by less than this share of its longer side are there by noise."""
 
+_SPECK = 0.01
+"""Points that extend over less of the image's diagonal are hardly in its pixels."""
+
 _SAMPLES = 4000
 """Points at which a warp is searched for folds."""
 
@@ -188,6 +191,7 @@ def notes(subject: Subject) -> tuple[str, ...]:
     """
     checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
         _outside_image,
+        _speck_of_image,
         _wrong_data,
         _failures,
         _wide_radius,
@@ -226,6 +230,17 @@ def _outside_image(subject: Subject) -> Iterator[str]:
             f"{outside} of {len(points)} source points are outside of the image of {width:g} x {height:g} pixels: the "
             f"largest x is {x:.5g}, the largest y {y:.5g}. Give points as (x, y), not (row, column), in pixels of the "
             "image of image_size=SIZE."
+        )
+
+
+def _speck_of_image(subject: Subject) -> Iterator[str]:
+    if subject.data.image_size is None:
+        return
+    extent, (width, height) = diagonal(subject.data.points), subject.data.image_size
+    if extent < _SPECK * subject.data.diagonal:
+        yield (
+            f"The source points extend over {extent:.3g} only, in an image of {width:g} x {height:g} pixels. Give "
+            "points in pixels, not as fractions of the image, or no image_size=SIZE."
         )
 
 
