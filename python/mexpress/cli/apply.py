@@ -46,19 +46,30 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    model = files.load(arguments.model)
+    model = _load(arguments.model)
     points = matches.read_points(arguments.points)
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         _warn_doubtful(model, mapped if arguments.inverse else points, mapped)
-    elif isinstance(model, Surface):
+    else:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
         _write(model(points), _error(model, points), arguments.out)
         common.warn_outside(model.domain, points, len(points), "the region of the data: the surface")
-    else:
-        check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
+
+
+def _load(path: Path) -> FittedModel:
+    """Load a model; the files are given in the wrong order at times."""
+    try:
+        model = files.load(path)
+    except ValueError as error:
+        order = "It must be a saved model, such as warp.npz, and come first; the points come second."
+        given = str(error).partition(" Given ")[2].removesuffix(".")
+        check.refuse("MODEL", order, given)
+    if not isinstance(model, Warp | Surface):
+        check.refuse("MODEL", "It must be a warp or a surface.", f"{model!r} in {path}")
+    return model
 
 
 def _error(model: FittedModel, points: Floats) -> Floats | None:
