@@ -212,6 +212,9 @@ FORMULAS: dict[str, Callable[[FitSummary], float]] = {
     "GCV": _gcv,
 }
 
+WITHOUT_HOLDING_OUT = {"FIT", "PRESS", "AIC", "BIC", "GCV"}
+"""Families that hold out no data, or only rows."""
+
 _WHOLE, _DECIMAL = r"(\d+)", r"(\d+(?:\.\d+)?)"
 _PATTERNS = {
     name: name for name in ("FIT", "PRESS", "CMPRESS", "DELAUNAY", "MATCHED", "AIC", "BIC", "GCV")
@@ -259,11 +262,24 @@ def parse(name: str, argument: str = "criterion") -> Criterion:
     )
 
 
+def family(name: str) -> str:
+    """Return a criterion's family, or the name of a scheme of one's own.
+
+    Examples
+    --------
+    >>> family("ER10"), family("mine")
+    ('ER', 'mine')
+    """
+    known = _find(name)
+    return name if known is None else known.family
+
+
 def _like(name: str) -> list[str]:
     """Return a name of every family, with the number of a wrong name or, without one, with ten."""
-    number = re.search(_DECIMAL, name)
+    number = re.search(_DECIMAL, name, re.ASCII)
     amount = number[0] if number else "10"
-    return [pattern.replace(_WHOLE, amount).replace(_DECIMAL, amount) for pattern in _PATTERNS.values()]
+    whole = amount.partition(".")[0]
+    return [pattern.replace(_WHOLE, whole).replace(_DECIMAL, amount) for pattern in _PATTERNS.values()]
 
 
 def _find(name: str) -> Criterion | None:

@@ -531,9 +531,9 @@ def test_queries(run, matches, tmp_path, how):
     ("option", "says"),
     [
         ("no.txt", "no.txt: No such file"),
-        ("9,9,3,3", "Invalid queries"),
+        ("9,9,3,3", "Invalid --queries"),
         ("1,2,3", "must be a file, X0,Y0,X1,Y1 or image, not '1,2,3'"),
-        ("image", "Invalid queries"),
+        ("image", "Invalid --image-size. It must be given with --queries image"),
     ],
 )
 def test_bad_queries_are_one_line(run, matches, tmp_path, option, says):

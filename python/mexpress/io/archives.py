@@ -108,7 +108,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             yield file
         part.replace(path)
     except OSError as error:
-        if error.filename not in (None, str(part)):
+        if error.errno is None or error.filename not in (None, str(part)):
             raise
         # The file that could not be written is, to the user, the one that was named.
         raise OSError(error.errno, error.strerror, str(path)) from None

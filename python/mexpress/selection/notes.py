@@ -16,16 +16,13 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
-from mexpress.criteria import parse
+from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
 from mexpress.geometry import diagonal, lattice
 from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
 from mexpress.selection.data import Data, Matches
 from mexpress.selection.selection import Selection
-
-_WITHOUT_HOLDING_OUT = {"FIT", "PRESS", "AIC", "BIC", "GCV"}
-"""Families that hold out no data, or only rows; their choices differ from the others' as a rule."""
 
 _APART, _WORSE = 2.0, 1.2
 """Criteria disagree if one selects twice the parameters of the other, and finds the other's model 20 % worse."""
@@ -289,28 +286,20 @@ def _wide_radius(subject: Subject) -> Iterator[str]:
 def _too_wide(subject: Subject) -> list[str]:
     """Radii that reach from the middle of the data over all of them."""
     limit = 50 * diagonal(subject.data.points) / subject.data.diagonal
-    return [name for name in subject.scores.maps if _family(name) == "ER" and parse(name).amount >= limit]
-
-
-def _family(name: str) -> str:
-    """Return a criterion's family, or the name of a scheme of one's own."""
-    try:
-        return parse(name).family
-    except ValueError:
-        return name
+    return [name for name in subject.scores.maps if family(name) == "ER" and parse(name).amount >= limit]
 
 
 def _disagreement(subject: Subject) -> Iterator[str]:
     """Of the criteria that hold out data, name the one to which the selected model is worst."""
     scores, wide = subject.scores, _too_wide(subject)
     criterion = scores.criterion
-    if _family(criterion) in _WITHOUT_HOLDING_OUT:
+    if family(criterion) in WITHOUT_HOLDING_OUT:
         return
     most = _WORSE
     found = ""
     for name in scores.maps:
         choice = scores.choice(name)
-        if name == criterion or _family(name) in _WITHOUT_HOLDING_OUT or name in wide or choice is None:
+        if name == criterion or family(name) in WITHOUT_HOLDING_OUT or name in wide or choice is None:
             continue
         entrant, k, w = choice
         best, own = entrant.maps[name][k, w], scores.winner.maps[name][scores.winner.place]
@@ -330,7 +319,7 @@ def _disagreement(subject: Subject) -> Iterator[str]:
 
 
 def _strict(subject: Subject, stiff: str) -> str:
-    if _family(stiff) == "MATCHED":
+    if family(stiff) == "MATCHED":
         return f"{stiff} judges predictions in gaps that the {subject.many} leave"
     return f"{stiff} holds out more than lets predict this {subject.shape}"
 

@@ -7,7 +7,7 @@ from typing import NoReturn
 import numpy as np
 
 from mexpress import _validation as check
-from mexpress.criteria import parse
+from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
 from mexpress.geometry import diagonal
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import Data, Matches
@@ -41,7 +41,7 @@ def refuse_unscored(scores: Selection, request: CriteriaRequest) -> NoReturn:
     if isinstance(data, Matches) and not np.ptp(data.target, axis=0).any():
         rule = "Its points must not all be equal, unless fractional=False."
         check.refuse("target", rule, f"{len(data.target)} times {data.target[0].tolist()}")
-    if "CMPRESS" in scores.maps and np.isnan(scores.maps["CMPRESS"]).all():
+    if np.isnan(scores.maps.get("CMPRESS", 0.0)).all() or family(scores.criterion) in WITHOUT_HOLDING_OUT:
         _refuse_few(scores, data)
     _refuse_other_unit(scores, data)
     _refuse_criterion(scores, request)
@@ -63,7 +63,7 @@ def _refuse_few(scores: Selection, data: Data) -> NoReturn:
 
 def _refuse_other_unit(scores: Selection, data: Data) -> None:
     """Refuse the size of an image whose pixels are not the unit of the points."""
-    if data.image_size is None or _family(scores.criterion) != "ER":
+    if data.image_size is None or family(scores.criterion) != "ER":
         return
     radius, extent = parse(scores.criterion).amount / 100 * data.diagonal, diagonal(data.points)
     if radius >= extent:
@@ -76,49 +76,35 @@ def _refuse_other_unit(scores: Selection, data: Data) -> None:
 
 
 def _refuse_criterion(scores: Selection, request: CriteriaRequest) -> NoReturn:
-    data, name, family = request.data, scores.criterion, _family(scores.criterion)
+    data, name = request.data, scores.criterion
     _, many, model = _words(data)
-    if family == "ER":
+    if family(name) == "ER":
         most = min(10 * diagonal(data.points) / data.diagonal, parse(name).amount / 2)
         less = f"a smaller radius, such as ER{most:.2g}"
     else:
-        less = _LESS.get(family, "another, such as CMPRESS")
-    left = _fewest_left(scores, request)
-    given = (
-        name
-        if left is None
-        else f"{name}, which leaves {left} of {len(data.points)} {many} to predict one from"
-    )
+        less = _LESS.get(family(name), "another, such as CMPRESS")
+    left = f"{_fewest_left(scores, request)} of {len(data.points)} {many}"
     rule = (
         f"It must leave enough {many} to determine a {model} of {scores.counts[0]} control points: take "
         f"{_either([less, *_weaker(scores), f'more {many}'])}."
     )
-    check.refuse("criterion", rule, given + _present(data))
+    check.refuse("criterion", rule, f"{name}, which leaves {left} to predict one from{_present(data)}")
 
 
-def _fewest_left(scores: Selection, request: CriteriaRequest) -> int | None:
-    """Return the smallest number of data that the criterion leaves, where it is known."""
+def _fewest_left(scores: Selection, request: CriteriaRequest) -> int:
+    """Return the smallest number of data that the criterion leaves."""
     name, points = scores.criterion, request.data.points
-    if _family(name) == "ER":  # whose neighbourhoods may be too large for a list
+    if family(name) == "ER":  # whose neighbourhoods may be too large for a list
         lost = scores.undefined.get(name, {}).get(int(scores.counts[0]), np.arange(len(points)))[:_SOME]
         radius = parse(name).amount / 100 * request.data.diagonal
         return min(int((np.hypot(*(points - points[i]).T) > radius).sum()) for i in lost)
-    scheme = request.listed[1].schemes.get(name)
-    return None if scheme is None else len(points) - int(scheme.held_out.sizes.max())
-
-
-def _family(name: str) -> str:
-    """Return a criterion's family; nothing for a scheme of one's own."""
-    try:
-        return parse(name).family
-    except ValueError:
-        return ""
+    return len(points) - int(request.listed[1].schemes[name].held_out.sizes.max())
 
 
 def _weaker(scores: Selection) -> list[str]:
     """Return the ways in which models need fewer data."""
     ways = ['smoothing="auto"'] if scores.weights[0] == 0 else []
-    return [*ways, "fewer control points"] if scores.counts[0] > 3 else ways
+    return [*ways, 'fewer control points, 3 at least with lifting="tps"'] if scores.counts[0] > 3 else ways
 
 
 def _words(data: Data) -> tuple[str, str, str]:
