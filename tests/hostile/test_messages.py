@@ -116,8 +116,7 @@ CASES = {
         warp(SOURCE[:4], TARGET[:4], **PAPER),
         "source",
         "All but one",
-        "take more matches",
-        "fractional=False",
+        'take more matches, or smoothing="auto", or fractional=False.',
         "Given 4 matches",
     ),
     "three places": (
@@ -155,8 +154,7 @@ CASES = {
     "a wide radius": (
         warp(criterion="ER50", **PAPER),
         "criterion",
-        "a smaller radius, such as ER10",
-        'smoothing="auto"',
+        "a smaller radius, such as ER10, or more matches.",
         "ER50, which leaves 2 of 60 matches",
     ),
     "a wide radius, smoothed": (
@@ -197,6 +195,12 @@ CASES = {
         "give points in pixels, or leave it out",
         "640 x 480 with points that extend over 1.4",
     ),
+    "a radius wider than the image": (
+        warp(criterion="ER120", image_size=(640, 640), **PAPER),
+        "criterion",
+        "a smaller radius, such as ER9.9",
+        "leaves 0 of 60",
+    ),
     "a typing error": (warp(criterion="CMPRES"), "criterion", "Is it CMPRESS"),
     "a letter too many": (warp(criterion="ERR7.5"), "criterion", "Is it ER7.5"),
     "no number": (warp(criterion="KF"), "criterion", "Is it KF10"),
@@ -228,6 +232,7 @@ CASES = {
     ),
     "an image's shape": (warp(image_size=(480, 640, 3)), "image_size", "image.shape[1::-1]"),
     "queries over no image": (warp(queries="image"), "image_size", 'queries="image"'),
+    "a surface's image": (surface(queries="image"), "queries", "points or a rectangle", "'image'"),
     "other queries": (warp(queries="images"), "queries", "Is it image?"),
     "a rectangle from right to left": (warp(queries=(640, 0, 0, 480)), "queries", "left < right"),
     "a huge weight": (warp(smoothing=10**400), "smoothing", "number of at least 0"),
@@ -333,6 +338,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_matches("m.csv", SOURCE, TARGET)
     write_matches("three.csv", SOURCE[:3], TARGET[:3])
+    write_matches("four.csv", SOURCE[:4], TARGET[:4])
     write_matches("line.csv", LINE, TARGET)
     write_matches("unit.csv", SOURCE / 640, TARGET / 640)
     np.savetxt("p.csv", SOURCE[:5], delimiter=",")
@@ -360,9 +366,10 @@ COMMANDS = {
     "a file for a directory": (["warp", "m.csv", "--out", "p.csv"], "p.csv: a file, where a directory should be"),
     "within a file": (["warp", "m.csv", "--out", "p.csv/out"], "p.csv/out: a file, where a directory should be"),
     "three matches": (["warp", "three.csv", *RUN], "Invalid source in three.csv.", "four matches at least"),
+    "four matches": (["warp", "four.csv", *FIT], "in four.csv.", "or --smoothing auto, or --no-fractional."),
     "a line": (["warp", "line.csv", *RUN], "Invalid source in line.csv.", "60 points on a line"),
     "columns": (["warp", "p.csv", *RUN], "Invalid matches.", "of p.csv"),
-    "a wide radius": (["warp", "m.csv", *FIT, "--criterion", "ER60"], "Invalid --criterion.", "--smoothing auto"),
+    "a wide radius": (["warp", "m.csv", *FIT, "--criterion", "ER60"], "Invalid --criterion.", "such as ER10"),
     "normalised": (["warp", "unit.csv", *FIT, "--image-size", "640x480"], "Invalid --image-size.", "in pixels"),
     "queries": (["warp", "m.csv", *RUN, "--queries", "image"], "Invalid --image-size.", "with --queries image"),
     "counts": (["warp", "m.csv", *RUN, "--counts", "3:99"], "Invalid --counts.", "number of matches, 60", "Given 99"),

@@ -84,8 +84,10 @@ def load(path: str | os.PathLike[str]) -> Any:
         raise _invalid(path, f"which holds {name!r}")
     try:
         return KINDS[kind].from_arrays(arrays)
-    except (KeyError, TypeError, ValueError) as error:
-        raise _invalid(path, "a model that is damaged") from error
+    except KeyError as error:
+        raise _invalid(path, f"a model without {error}") from error
+    except (TypeError, ValueError) as error:
+        raise _invalid(path, f"a model that cannot be rebuilt: {str(error).removesuffix('.')}") from error
 
 
 def _invalid(path: Path, what: str) -> ValueError:

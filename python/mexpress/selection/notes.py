@@ -21,7 +21,7 @@ from mexpress.geometry import diagonal, lattice
 from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
-from mexpress.selection.data import Data, Matches
+from mexpress.selection.data import Data, Matches, is_speck
 from mexpress.selection.selection import Selection
 
 _APART, _WORSE = 2.0, 1.2
@@ -47,9 +47,6 @@ _ROUNDING = 1e-7
 
 _MARGIN = 0.01
 """Points outside of the image by less than this share of its longer side are there by noise."""
-
-_SPECK = 0.01
-"""Points that extend over less of the image's diagonal are hardly in its pixels."""
 
 _SAMPLES = 4000
 """Points at which a warp is searched for folds."""
@@ -231,10 +228,8 @@ def _outside_image(subject: Subject) -> Iterator[str]:
 
 
 def _speck_of_image(subject: Subject) -> Iterator[str]:
-    if subject.data.image_size is None:
-        return
-    extent, (width, height) = diagonal(subject.data.points), subject.data.image_size
-    if extent < _SPECK * subject.data.diagonal:
+    if subject.data.image_size is not None and is_speck(subject.data):
+        extent, (width, height) = diagonal(subject.data.points), subject.data.image_size
         yield (
             f"The source points extend over {extent:.3g} only, in an image of {width:g} x {height:g} pixels. Give "
             "points in pixels, not as fractions of the image, or no image_size=SIZE."

@@ -10,7 +10,7 @@ from mexpress import _validation as check
 from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
 from mexpress.geometry import diagonal
 from mexpress.selection.candidates import CriteriaRequest
-from mexpress.selection.data import Data, Matches
+from mexpress.selection.data import Data, Matches, is_speck
 from mexpress.selection.selection import Selection
 
 _LESS = {
@@ -51,7 +51,7 @@ def _refuse_few(scores: Selection, data: Data) -> NoReturn:
     name, many, model = _words(data)
     n, places = len(data.points), len(np.unique(data.points, axis=0))
     count = scores.counts[0]
-    ways = [f"more {many}", *_weaker(scores)]
+    ways = [f"more {many}", *_weaker(scores, places - 1)]
     if isinstance(data, Matches) and count == 3 and places == 4:
         ways.append("fractional=False")
     rule = (
@@ -63,16 +63,15 @@ def _refuse_few(scores: Selection, data: Data) -> NoReturn:
 
 def _refuse_other_unit(scores: Selection, data: Data) -> None:
     """Refuse the size of an image whose pixels are not the unit of the points."""
-    if data.image_size is None or family(scores.criterion) != "ER":
+    if data.image_size is None or family(scores.criterion) != "ER" or not is_speck(data):
         return
-    radius, extent = parse(scores.criterion).amount / 100 * data.diagonal, diagonal(data.points)
-    if radius >= extent:
-        width, height = data.image_size
-        rule = (
-            f"Its unit must be that of source: {scores.criterion} holds out all matches within {radius:.4g}, a share "
-            "of its diagonal, so give points in pixels, or leave it out."
-        )
-        check.refuse("image_size", rule, f"{width:g} x {height:g} with points that extend over {extent:.3g}")
+    (width, height), radius = data.image_size, parse(scores.criterion).amount / 100 * data.diagonal
+    rule = (
+        f"Its unit must be that of source: {scores.criterion} holds out all matches within {radius:.4g}, a share of "
+        "its diagonal, so give points in pixels, or leave it out."
+    )
+    given = f"{width:g} x {height:g} with points that extend over {diagonal(data.points):.3g}"
+    check.refuse("image_size", rule, given)
 
 
 def _refuse_criterion(scores: Selection, request: CriteriaRequest) -> NoReturn:
@@ -83,12 +82,13 @@ def _refuse_criterion(scores: Selection, request: CriteriaRequest) -> NoReturn:
         less = f"a smaller radius, such as ER{most:.2g}"
     else:
         less = _LESS.get(family(name), "another, such as CMPRESS")
-    left = f"{_fewest_left(scores, request)} of {len(data.points)} {many}"
+    left = _fewest_left(scores, request)
     rule = (
         f"It must leave enough {many} to determine a {model} of {scores.counts[0]} control points: take "
-        f"{_either([less, *_weaker(scores), f'more {many}'])}."
+        f"{_either([less, *_weaker(scores, left), f'more {many}'])}."
     )
-    check.refuse("criterion", rule, f"{name}, which leaves {left} to predict one from{_present(data)}")
+    given = f"{name}, which leaves {left} of {len(data.points)} {many} to predict one from"
+    check.refuse("criterion", rule, given + _present(data))
 
 
 def _fewest_left(scores: Selection, request: CriteriaRequest) -> int:
@@ -101,8 +101,10 @@ def _fewest_left(scores: Selection, request: CriteriaRequest) -> int:
     return len(points) - int(request.listed[1].schemes[name].held_out.sizes.max())
 
 
-def _weaker(scores: Selection) -> list[str]:
-    """Return the ways in which models need fewer data."""
+def _weaker(scores: Selection, left: int) -> list[str]:
+    """Return the ways in which models need fewer data; not even a plane is determined by less than three."""
+    if left < 3:
+        return []
     ways = ['smoothing="auto"'] if scores.weights[0] == 0 else []
     return [*ways, 'fewer control points, 3 at least with lifting="tps"'] if scores.counts[0] > 3 else ways
 
