@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+import numbers
 import operator
 import os
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
@@ -31,11 +35,40 @@ def refuse(name: str, rule: str, given: str, error: type[Exception] = ValueError
 
 
 def describe(value: object) -> str:
-    """A short description of a given value."""
+    """A short description of a given value, in one line."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and type {value.dtype}"
-    text = repr(value)
+    shape = getattr(value, "shape", None)
+    if shape and isinstance(shape, tuple):  # of a tensor or a table of another library
+        return f"{type(value).__name__} of shape {tuple(shape)}"
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{type(value).__name__} {text[:50]}..."
+
+
+def nearest_name(value: object, names: Iterable[str]) -> str:
+    """A question that follows the rule for names, if the given one is nearly one or two of them; else nothing.
+
+    Examples
+    --------
+    >>> nearest_name("Spline", ["tps", "bspline"]), nearest_name("poly", ["tps", "bspline"])
+    (' Is it bspline?', '')
+    """
+    known = {name.lower(): name for name in names}
+    given = str(value).strip().lower()
+    near = [given] if given in known else difflib.get_close_matches(given, known, 2)
+    return f" Is it {' or '.join(known[name] for name in near)}?" if near else ""
+
+
+def path(value: Any, name: str = "path") -> Path:
+    """Name of a file or a directory."""
+    rule = "It must be the name of a file, as a str or a Path."
+    try:
+        given = Path(value)
+    except TypeError:
+        refuse(name, rule, describe(value), TypeError)
+    if not given.name:
+        refuse(name, rule, repr(value))
+    return given
 
 
 def array(value: ArrayLike, name: str, rule: str, kinds: str | None = None) -> NDArray[Any]:
@@ -44,11 +77,49 @@ def array(value: ArrayLike, name: str, rule: str, kinds: str | None = None) -> N
         refuse(name, rule, f"{np.ma.getmaskarray(value).sum()} masked entries")
     try:
         result = np.asarray(value)
-    except (ValueError, TypeError):
-        refuse(name, rule, describe(value), TypeError)
+    except (
+        ValueError,
+        TypeError,
+        RuntimeError,
+    ) as error:  # what others' arrays raise, such as tensors on a GPU
+        refuse(name, rule, _no_array(value, error), TypeError)
     if kinds is not None and result.dtype.kind not in kinds and result.size > 0:
-        refuse(name, rule, describe(value), TypeError)
+        refuse(name, rule + _CONVERT.get(result.dtype.kind, ""), _no_number(value, result), TypeError)
     return result
+
+
+_CONVERT = {
+    "U": " Text is converted by astype(float), and a file must be read first.",
+    "c": " Take real and imaginary parts as columns.",
+}
+"""How to make real numbers of other kinds of entries."""
+
+
+def _no_array(value: Any, error: Exception) -> str:
+    """Say why something is no array: rows of different lengths, or a reason of its own."""
+    if hasattr(value, "__array__"):
+        return f"{describe(value)}, which says: {str(error).strip().removesuffix('.')}"
+    lengths = [len(row) if hasattr(row, "__len__") else 1 for row in items(value, "value", "")]
+    for row, length in enumerate(lengths):
+        if length != lengths[0]:
+            return f"{lengths[0]} entries in row 0 and {length} in row {row}"
+    return describe(value)
+
+
+def _no_number(value: Any, array: NDArray[Any]) -> str:
+    """Say which entry of an array of objects is no number, or that all are."""
+    if array.dtype.kind != "O" or array.ndim == 0:
+        return describe(value)
+    for place, entry in np.ndenumerate(array):
+        if not isinstance(entry, numbers.Real):
+            return f"{describe(entry)} at {_place(place)}"
+    return f"{describe(array)}, which astype(float) converts"
+
+
+def _place(index: tuple[int, ...]) -> str:
+    if len(index) > 2:
+        return f"{list(index)}"
+    return ", ".join(f"{name} {i}" for name, i in zip(("row", "column"), index, strict=False))
 
 
 def real(value: ArrayLike, name: str) -> Floats:
@@ -63,9 +134,10 @@ def finite(array: Floats, name: str, rule: str = "Its entries must be finite.") 
     rows = array.reshape(len(array), -1) if array.size else array.reshape(0, 1)
     place = _core.find_not_finite(rows)
     if place is not None:
-        row, column = place
-        where = f"row {row}" if array.ndim == 1 else f"row {row}, column {column}"
-        refuse(name, rule, f"{rows[place]} at {where}")
+        others = int((~np.isfinite(rows)).any(axis=1).sum()) - 1
+        more = f", and others in {others} more rows" if others else ""
+        where = _place(place[: array.ndim])
+        refuse(name, rule, f"{rows[place]} at {where}{more}")
     return array
 
 
@@ -82,20 +154,26 @@ def columns(value: ArrayLike, name: str, rows: int) -> Floats:
     """Finite (rows,) or (rows, r) array, with r at least 1."""
     array = real(value, name)
     if array.ndim not in (1, 2) or array.size == 0 or len(array) != rows:
-        refuse(name, f"It must have shape ({rows},) or ({rows}, r).", f"shape {array.shape}")
+        remedy = ": transpose it" if array.ndim == 2 and array.shape[1] == rows else ""
+        refuse(name, f"It must have shape ({rows},) or ({rows}, r){remedy}.", f"shape {array.shape}")
     return _bounded(array, name, "Its entries", LARGEST_RESPONSE)
+
+
+def _positions(value: ArrayLike, name: str) -> Floats:
+    """A real array, of which OpenCV's (n, 1, 2) become (n, 2)."""
+    array = real(value, name)
+    return array[:, 0] if array.ndim == 3 and array.shape[1:] == (1, 2) else array
 
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     """At least one finite point, (n, dimension); one to three coordinates if dimension is None; (n, 1, 2) of OpenCV."""
-    array = real(value, name)
-    if array.ndim == 3 and array.shape[1:] == (1, 2):
-        array = array[:, 0]
+    array = _positions(value, name)
     if dimension is None and array.ndim == 2 and 1 <= array.shape[1] <= 3:
         dimension = array.shape[1]
     if array.ndim != 2 or array.shape[1] != dimension or len(array) == 0:
         shape = f"(n, {dimension})" if dimension else "(n, 1), (n, 2) or (n, 3)"
-        refuse(name, f"It must be points of shape {shape}, at least one.", f"shape {array.shape}")
+        rule = f"It must be points of shape {shape}, at least one{_as_points(array.shape, dimension)}."
+        refuse(name, rule, f"shape {array.shape}" if array.ndim else describe(value))
     return _bounded(array, name, "Coordinates", LARGEST_COORDINATE)
 
 
@@ -107,9 +185,29 @@ def queries(value: ArrayLike, name: str) -> Floats:
     """
     array = real(value, name)
     if array.ndim != 2 or array.shape[1] != 2:
-        refuse(name, "They must be positions of shape (k, 2).", f"shape {array.shape}")
+        refuse(
+            name,
+            f"They must be positions of shape (k, 2){_as_points(array.shape, 2)}.",
+            f"shape {array.shape}",
+        )
     known = (np.abs(array) <= LARGEST_COORDINATE).all(axis=1)
     return array if known.all() else np.where(known[:, None], array, np.nan)
+
+
+def _as_points(shape: tuple[int, ...], dimension: int | None) -> str:
+    """Say how to make points of an array of another shape, if that is clear."""
+    width = dimension or 3
+    if len(shape) == 1 and shape[0] == dimension:
+        return ": one point is [[x, y]]" if dimension == 2 else ": one point is [[x, y, z]]"
+    if len(shape) == 1 and shape[0] > width:
+        return ": np.column_stack([x, y]) makes them of coordinates" if dimension == 2 else ""
+    if len(shape) != 2 or shape[1] <= width:
+        return ""
+    if shape[0] in (dimension, width):
+        return ": transpose it, a row is a point"
+    if shape[1] == 4 and dimension == 2:
+        return ": of matches in a table, source is table[:, :2] and target table[:, 2:]"
+    return ": take the columns x and y alone" if shape[1] == 3 else ""
 
 
 def _bounded(array: Floats, name: str, what: str, limit: float) -> Floats:
@@ -200,7 +298,7 @@ def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False
         refuse(name, rule, describe(value), TypeError)
     try:
         result = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # a whole number may have any number of digits
         refuse(name, rule, describe(value), TypeError)
     if not math.isfinite(result) or result < low or (strict and result == low):
         refuse(name, rule, describe(value))
@@ -223,7 +321,7 @@ def image_size(value: Any) -> tuple[float, float] | None:
     """(width, height) in pixels, or None."""
     if value is None:
         return None
-    rule = "It must be (width, height) in pixels."
+    rule = "It must be (width, height) in pixels, image.shape[1::-1] of an array."
     try:
         width, height = value
     except (TypeError, ValueError):

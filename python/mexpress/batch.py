@@ -157,7 +157,7 @@ def _by_processes(function: Callable[..., Any], calls: Sequence[Call], number: i
         pickle.dumps(function)
     except Exception as error:  # pickling can raise anything
         rule = "It must be picklable: define it in a module, or set workers=1."
-        raise TypeError(f"Invalid function. {rule} Given {type(error).__name__}: {error}.") from error
+        raise TypeError(f"Invalid function. {rule} Given {check.describe(function)}: {error}.") from error
     context = _Context()
     pool = ProcessPoolExecutor(number, context, _begin)
     try:

@@ -212,6 +212,9 @@ FORMULAS: dict[str, Callable[[FitSummary], float]] = {
     "GCV": _gcv,
 }
 
+WITHOUT_HOLDING_OUT = {"FIT", "PRESS", "AIC", "BIC", "GCV"}
+"""Families that hold out no data, or only rows."""
+
 _WHOLE, _DECIMAL = r"(\d+)", r"(\d+(?:\.\d+)?)"
 _PATTERNS = {
     name: name for name in ("FIT", "PRESS", "CMPRESS", "DELAUNAY", "MATCHED", "AIC", "BIC", "GCV")
@@ -225,13 +228,15 @@ _PATTERNS = {
 }
 
 
-def parse(name: str) -> Criterion:
+def parse(name: str, argument: str = "criterion") -> Criterion:
     """Read a criterion's name.
 
     Parameters
     ----------
     name : str
         A name in the table of `mexpress.criteria`.
+    argument : str
+        What messages call it.
 
     Raises
     ------
@@ -245,12 +250,36 @@ def parse(name: str) -> Criterion:
     Criterion(name='KF05', family='KF', amount=5.0)
     """
     families = (
-        "FIT, PRESS, CMPRESS, KFkk, ERxx, NNxxPTS, NNxxPCT, DELAUNAY, MATCHED, LPOxx, RSxxPCT, AIC, BIC, GCV"
+        "FIT, PRESS, CMPRESS (leave-one-out), KFkk (kk folds), ERxx (within xx % of the diagonal), NNxxPTS, NNxxPCT, "
+        "DELAUNAY, MATCHED, LPOxx, RSxxPCT, AIC, BIC, GCV"
     )
     rule = f"It must be one of {families}."
     if not isinstance(name, str):
-        check.refuse("criterion", rule, check.describe(name), TypeError)
-    return _find(name) or check.refuse("criterion", rule, repr(name))
+        check.refuse(argument, rule, check.describe(name), TypeError)
+    near = check.nearest_name(name, _like(name))
+    return _find(name) or check.refuse(
+        argument, f"It must be a criterion's name.{near}" if near else rule, repr(name)
+    )
+
+
+def family(name: str) -> str:
+    """Return a criterion's family, or the name of a scheme of one's own.
+
+    Examples
+    --------
+    >>> family("ER10"), family("mine")
+    ('ER', 'mine')
+    """
+    known = _find(name)
+    return name if known is None else known.family
+
+
+def _like(name: str) -> list[str]:
+    """Return a name of every family, with the number of a wrong name or, without one, with ten."""
+    number = re.search(_DECIMAL, name, re.ASCII)
+    amount = number[0] if number else "10"
+    whole = amount.partition(".")[0]
+    return [pattern.replace(_WHOLE, whole).replace(_DECIMAL, amount) for pattern in _PATTERNS.values()]
 
 
 def _find(name: str) -> Criterion | None:
@@ -364,18 +393,26 @@ class Scorer:
 
     @classmethod
     def over(
-        cls, criteria: Sequence[str] | Mapping[str, Scheme], domain: Domain, nested: bool = False
+        cls,
+        criteria: Sequence[str] | Mapping[str, Scheme],
+        domain: Domain,
+        nested: bool = False,
+        argument: str = "criteria",
     ) -> Scorer:
-        """Build the schemes of criteria over a domain, see `of`."""
+        """Build the schemes of criteria over a domain, see `of`; messages name the argument that has the criteria."""
         rule = "It must be a list of names, or schemes by name."
         if isinstance(criteria, Mapping):
             _check_own_schemes(criteria, len(domain.points), rule)
             return cls(dict.fromkeys(criteria), dict(criteria))
-        parsed = {c.name: c for c in map(parse, check.items(criteria, "criteria", rule))}
+        parsed = {
+            c.name: c for c in (parse(name, argument) for name in check.items(criteria, argument, rule))
+        }
         lazy = NEIGHBOURHOODS if nested else {}
-        near = {c.name: _made(lazy, c, domain) for c in parsed.values() if c.family in lazy}
+        near = {c.name: _made(lazy, c, domain, argument) for c in parsed.values() if c.family in lazy}
         rest = {name: c for name, c in parsed.items() if c.family in SCHEMES and name not in near}
-        return cls(dict(parsed), {name: _made(SCHEMES, c, domain) for name, c in rest.items()}, near)
+        return cls(
+            dict(parsed), {name: _made(SCHEMES, c, domain, argument) for name, c in rest.items()}, near
+        )
 
     def __or__(self, other: Scorer) -> Scorer:
         return Scorer(
@@ -538,7 +575,7 @@ def _press(model: LeastSquares, threads: int | None) -> Score:
 
 
 def _made(
-    builders: Mapping[str, Callable[[float, Domain], Made]], criterion: Criterion, domain: Domain
+    builders: Mapping[str, Callable[[float, Domain], Made]], criterion: Criterion, domain: Domain, name: str
 ) -> Made:
     try:
         return builders[criterion.family](criterion.amount, domain)
@@ -547,7 +584,7 @@ def _made(
         unnamed = "the number", "It must suit the data.", f"{len(domain.points)} data"
         argument, rule, given = refusal.groups() if refusal else unnamed
         rule = rule.replace("It must", f"{argument} must", 1)
-        check.refuse("criteria", f"In {criterion.name}, {rule[0].lower()}{rule[1:]}", given)
+        check.refuse(name, f"In {criterion.name}, {rule[0].lower()}{rule[1:]}", given)
 
 
 if not TYPE_CHECKING:  # otherwise a type checker accepts any attribute

@@ -149,8 +149,18 @@ def hull(points: Floats, name: str) -> Floats:
     corners = _convex_hull(points)
     if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
         rule = "They must cover a region: three distinct points or more, not on a line."
-        check.refuse(name, rule, f"{len(points)} points on a line or in one place")
+        check.refuse(name, rule, f"{len(points)} points {_lack_of_region(points)}")
     return corners
+
+
+def _lack_of_region(points: Floats) -> str:
+    """Say why points cover no region."""
+    places, thin = len(np.unique(points, axis=0)), thinness(points)
+    if places < 3:
+        return "in one place" if places == 1 else "in two places"
+    if thin <= np.finfo(float).eps:
+        return "on a line"
+    return f"whose spread across a line is {thin:.1g} of that along it"
 
 
 def area(corners: Floats) -> float:

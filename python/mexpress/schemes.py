@@ -235,7 +235,8 @@ class Places:
         try:
             neighbourhoods = IndexSets(*search())
         except ValueError as error:
-            check.refuse("points", "Their neighbourhoods must fit in memory.", f"{n} points with {error}")
+            rule = "Their neighbourhoods must fit in memory: hold out fewer."
+            check.refuse("points", rule, f"{n} points with {error}")
         return Scheme(n, neighbourhoods, singletons(n), self.order)
 
 
@@ -452,7 +453,7 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
         held.append(np.flatnonzero(near))
         total += len(held[-1])
         if total > MOST_INDICES:
-            rule = f"The sets must fit in {MOST_INDICES} indices."
+            rule = f"The sets must fit in {MOST_INDICES} indices: take less."
             check.refuse("tau", rule, f"{tau}, with more than that for {i + 1} of {count} data")
     return Scheme(count, compress(held), singletons(count))
 

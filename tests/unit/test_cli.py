@@ -153,19 +153,19 @@ def test_without_an_image_reader_the_extra_is_named(matches, run, tmp_path, monk
         (["--image-size", "0x480"], "must be WIDTHxHEIGHT"),
         (["--image-size", "nanx480"], "must be WIDTHxHEIGHT"),
         (["--image-size", "-640x480"], "--image-size"),
-        (["--criterion", "WISDOM"], "Invalid criterion"),
-        (["--criteria", "FIT,WISDOM"], "Invalid criterion"),
+        (["--criterion", "WISDOM"], "Invalid --criterion"),
+        (["--criteria", "FIT,WISDOM"], "Invalid --criteria"),
         (["--counts", "3:2"], "--counts"),
         (["--counts", "a:b"], "--counts"),
         (["--counts", "3:9:0"], "--counts"),
         (["--counts", "3:4:5:6"], "--counts"),
-        (["--counts", "2:9"], "Invalid counts"),
-        (["--counts", "200:200"], "Invalid"),
-        (["--lifting", "rubber"], "Invalid lifting"),
-        (["--placement", "anywhere"], "Invalid placement"),
-        (["--smoothing", "-1"], "Invalid smoothing"),
-        (["--threads", "0"], "Invalid threads"),
-        (["--seed", "-1"], "Invalid seed"),
+        (["--counts", "2:9"], "Invalid --counts"),
+        (["--counts", "200:200"], "Invalid --counts"),
+        (["--lifting", "rubber"], "Invalid --lifting"),
+        (["--placement", "anywhere"], "Invalid --placement"),
+        (["--smoothing", "-1"], "Invalid --smoothing"),
+        (["--threads", "0"], "--threads: must be a whole number of at least 1"),
+        (["--seed", "-1"], "--seed: must be a whole number of at least 0"),
         (["--seed", "x"], "--seed"),
         (["--source-image", "left.png"], "belong together"),
         (["--source-image", "no.png", "--target-image", "no.png"], "no.png: No such file"),
@@ -214,7 +214,7 @@ def test_damaged_images_are_one_line(matches, run, tmp_path):
 def test_an_output_that_is_a_file_is_one_line(matches, run):
     status, _, errors = run("warp", matches, *PAPER, "--out", matches)
     assert status == 2
-    assert errors.endswith("File exists\n")
+    assert errors.endswith("matches.csv: a file, where a directory should be\n")
 
 
 def test_faults_of_ours_keep_their_traceback(matches, run, tmp_path, monkeypatch):
@@ -533,9 +533,9 @@ def test_queries(run, matches, tmp_path, how):
     ("option", "says"),
     [
         ("no.txt", "no.txt: No such file"),
-        ("9,9,3,3", "Invalid queries"),
+        ("9,9,3,3", "Invalid --queries"),
         ("1,2,3", "must be a file, X0,Y0,X1,Y1 or image, not '1,2,3'"),
-        ("image", "Invalid queries"),
+        ("image", "Invalid --image-size. It must be given with --queries image"),
     ],
 )
 def test_bad_queries_are_one_line(run, matches, tmp_path, option, says):

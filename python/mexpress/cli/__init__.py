@@ -12,8 +12,9 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
+from pathlib import Path
 
-from mexpress.cli.common import Parser, UsageError, warn
+from mexpress.cli.common import Parser, UsageError, as_typed, warn
 
 __all__ = ["main"]
 
@@ -52,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ['curves.csv', 'm.csv', 'selection.json', 'warp.npz']
     """
     words = sys.argv[1:] if argv is None else argv
+    arguments = argparse.Namespace()
     try:
         arguments = _parser(words).parse_args(words)
         arguments.run(arguments)
@@ -62,14 +64,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        return _failed(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _failed(_of_file(error) if error.filename else str(error))
     except (UsageError, ImportError) as error:
         return _failed(str(error))
     except (ValueError, TypeError) as error:
         if not str(error).startswith("Invalid "):  # a fault of ours, whose traceback is needed
             raise
-        return _failed(str(error))
+        return _failed(as_typed(str(error), arguments))
     return 0
+
+
+def _of_file(error: OSError) -> str:
+    """Say what is wrong with a file, or with the directory that it should be in."""
+    path = Path(os.fsdecode(error.filename))
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return f"{path}: a file, where a directory should be"
+    if isinstance(error, FileNotFoundError) and not path.parent.exists():
+        return f"{path}: there is no directory {path.parent}"
+    return f"{path}: {error.strerror}"
 
 
 def _failed(message: str, status: int = 2) -> int:

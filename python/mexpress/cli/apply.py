@@ -54,7 +54,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    model = files.load(arguments.model)
+    model = _load(arguments.model)
     points = _read(arguments)
     known = np.isfinite(points).all(axis=1)
     if not known.all():
@@ -63,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> None:
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         _warn_doubtful(model, (mapped if arguments.inverse else points)[known], mapped[known])
-    elif isinstance(model, Surface):
+    else:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
         table = model(points).reshape(len(points), -1)
@@ -71,8 +71,19 @@ def _run(arguments: argparse.Namespace) -> None:
             table = np.column_stack([np.where(known[:, None], points, np.nan), table])
         _write(table, _error(model, points), arguments.out)
         common.warn_outside(model.domain, points[known], len(points), "the region of the data: the surface")
-    else:
-        check.refuse("model", "It must be a warp or a surface.", f"{model!r} in {arguments.model}")
+
+
+def _load(path: Path) -> FittedModel:
+    """Load a model; the files are given in the wrong order at times."""
+    try:
+        model = files.load(path)
+    except ValueError as error:
+        order = "It must be a saved model, such as warp.npz, and come first; the points come second."
+        given = str(error).partition(" Given ")[2].removesuffix(".")
+        check.refuse("MODEL", order, given)
+    if not isinstance(model, Warp | Surface):
+        check.refuse("MODEL", "It must be a warp or a surface.", f"{model!r} in {path}")
+    return model
 
 
 def _read(arguments: argparse.Namespace) -> Floats:

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mexpress._validation import Floats
+from mexpress._validation import Floats, nearest_name
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.io import matches
@@ -29,19 +29,27 @@ from mexpress.selection.queries import IMAGE
 class Parser(argparse.ArgumentParser):
     """Errors are one line, without the usage, and values may begin with a minus."""
 
+    def error(self, message: str) -> NoReturn:
+        """Raise `UsageError`."""
+        raise UsageError(f"{message} ({self.prog} --help tells more)")
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse words, of which those such as -9999,65535 and -3.4e38 are no options, as argparse would have it."""
+        """Refuse what is not known here and not at the top: a command knows its options.
+
+        Words such as -9999,65535 and -3.4e38 are no options, as argparse would have it.
+        """
         words: list[str] = []
         for word in sys.argv[1:] if args is None else args:
             if re.match(r"-[.\d]", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
                 words[-1] += f"={word}"
             else:
                 words.append(word)
-        return super().parse_known_args(words, namespace)
-
-    def error(self, message: str) -> NoReturn:
-        """Raise `UsageError`."""
-        raise UsageError(f"{message} ({self.prog} --help tells more)")
+        result, unknown = super().parse_known_args(words, namespace)
+        if unknown:
+            options = (word for action in self._actions for word in action.option_strings)
+            near = nearest_name(unknown[0].partition("=")[0].replace("_", "-"), options)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{near and '.' + near}")
+        return result, unknown
 
 
 class UsageError(Exception):
@@ -106,8 +114,8 @@ def add_run(parser: Parser) -> None:
     """Add the options of every run that writes into a directory."""
     threads = "at most so many (default: MEXPRESS_NUM_THREADS, or all cores)"
     add = parser.add_argument
-    add("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
-    add("--threads", type=int, metavar="N", help=threads)
+    add("--seed", type=whole(0), default=0, metavar="N", help="of everything random (default: 0)")
+    add("--threads", type=whole(1), metavar="N", help=threads)
     add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
     add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
     add("--quiet", action="store_true", help="show no progress")
@@ -238,6 +246,46 @@ def as_options(note: str) -> str:
         return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
 
     return re.sub(r'\b(\w+)=("[^"]*"|\[[^]]*\]|\w+)', option, note)
+
+
+def as_typed(message: str, arguments: argparse.Namespace) -> str:
+    """Write the names of arguments in a message as the options and files that were typed.
+
+    Examples
+    --------
+    >>> typed = argparse.Namespace(matches=Path("m.csv"), image_size=None)
+    >>> as_typed("Invalid image_size. It must be given. Given none.", typed)
+    'Invalid --image-size. It must be given. Given none.'
+    >>> as_typed("Invalid source. They must cover a region. Given 4 points on a line.", typed)
+    'Invalid source in m.csv. They must cover a region. Given 4 points on a line.'
+    """
+    typed = vars(arguments)
+    name = message.split()[1].rstrip(".")  # of "Invalid name. ..."
+    option = "data" if name == "max_data" else name
+    files = [value for value in typed.values() if isinstance(value, Path)]
+    if name in _OPTIONAL or (option in typed and not isinstance(typed[option], Path | None)):
+        message = message.replace(name, f"--{option.replace('_', '-')}", 1)
+    elif name in _OF_FILE and not any(file.name in message for file in files):
+        message = message.replace(name, f"{name} in {files[0]}", 1)
+    return as_options(message)
+
+
+_OPTIONAL = {"image_size", "out"}
+"""Options that a message may be about although they were not typed, or that are files themselves."""
+
+_OF_FILE = {"source", "target", "points", "values", "weights", "matches", "cloud"}
+"""What the first file that is typed holds."""
+
+
+def whole(low: int) -> Callable[[str], int]:
+    """Return what reads an option's whole number of at least some other."""
+
+    def read(text: str) -> int:
+        if not re.fullmatch(r"[+-]?\d+", text.strip(), re.ASCII) or int(text) < low:
+            raise argparse.ArgumentTypeError(f"must be a whole number of at least {low}, not {text!r}")
+        return int(text)
+
+    return read
 
 
 def write_selection(

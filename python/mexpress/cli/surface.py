@@ -54,7 +54,7 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
     number = parser.add_mutually_exclusive_group()
     number.add_argument(
         "--data",
-        type=int,
+        type=common.whole(1),
         default=_DATA,
         metavar="N",
         help=f"draw so many of the data at random if there are more (default: {_DATA})",
@@ -62,7 +62,7 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
     number.add_argument("--all", action="store_true", help="use every datum")
     add(
         "--max-count",
-        type=int,
+        type=common.whole(3),
         metavar="N",
         help="largest number of control points (default: as many as data, at most 900; 175 without --smoothing auto)",
     )
@@ -135,7 +135,9 @@ def _run(arguments: argparse.Namespace) -> None:
 def _image(cloud: Cloud) -> tuple[float, ...]:
     """Return the rectangle of the depth map's pixels."""
     if cloud.image_size is None:
-        raise common.UsageError("--queries image belongs to depth maps")
+        raise common.UsageError(
+            "--queries image belongs to depth maps: for points, give X0,Y0,X1,Y1 or a file"
+        )
     return 0.0, 0.0, *cloud.image_size
 
 

@@ -25,6 +25,9 @@ from mexpress import _validation as check
 ARCHIVES = {".npy", ".npz"}
 """Endings of the files that `read_arrays` reads."""
 
+_MAGIC = b"\x93NUMPY", b"PK"
+"""First bytes of such files."""
+
 
 def read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz file by their names, or the one of an .npy file.
@@ -57,13 +60,22 @@ def read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
     {'cloud': array([1., 1.])}
     """
     with path.open("rb") as file:
+        if not file.read(6).startswith(_MAGIC):
+            rule = "The file must be an archive of arrays, .npy or .npz."
+            check.refuse(
+                name, rule, f"{path.name}, which is {'another kind of file' if file.tell() else 'empty'}"
+            )
+        file.seek(0)
         try:
             loaded = np.load(file, allow_pickle=False)
             if isinstance(loaded, np.ndarray):
                 return {name: loaded}
             return {key: loaded[key] for key in loaded.files}
         except Exception as error:  # damaged bytes raise whatever the layers of zip and npy meet first
-            check.refuse(name, "The file must hold arrays of numbers.", f"{path.name}: {error}")
+            rule = "The file must hold arrays of numbers."
+            # numpy's own words advise to load objects, which can execute anything
+            fault = "with objects" if "allow_pickle" in str(error) else f"which is damaged: {error}"
+            check.refuse(name, rule, f"{path.name}, {fault}")
 
 
 @contextmanager
@@ -75,6 +87,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     path : str or path
         Name of the file, taken as it is. After an error an older file of this name is untouched.
 
+    Raises
+    ------
+    OSError
+        If the file cannot be written; it has this name.
+
     Examples
     --------
     >>> import tempfile
@@ -84,11 +101,16 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     ...     Path(f"{folder}/a.txt").read_text()
     'all of it'
     """
-    path = Path(path)
+    path = check.path(path)
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
         with part.open("xb") as file:
             yield file
         part.replace(path)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(part)):
+            raise
+        # The file that could not be written is, to the user, the one that was named.
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         part.unlink(missing_ok=True)

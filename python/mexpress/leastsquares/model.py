@@ -432,7 +432,7 @@ def cross_validate_all(
 def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
     """Refuse a scheme that is not over the model's data."""
     if not isinstance(scheme, Scheme):
-        rule = "It must come from mexpress.schemes."
+        rule = f"It must come from mexpress.schemes, such as leave_one_out({model.n_data})."
         check.refuse("scheme", rule, check.describe(scheme), TypeError)
     if scheme.n_data != model.n_data:
         rule = f"It must be over the model's {model.n_data} data."

@@ -223,7 +223,7 @@ def cross_validate_nested(
 
 
 def _checked_schemes(schemes: Any) -> dict[str, Scheme]:
-    rule = "They must be schemes by name."
+    rule = 'They must be schemes by name, such as {"CMPRESS": mexpress.schemes.leave_one_out(n)}.'
     if not isinstance(schemes, Mapping):
         check.refuse("schemes", rule, check.describe(schemes), TypeError)
     for name, scheme in schemes.items():

@@ -101,7 +101,9 @@ def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
     """Check penalty rows: p columns, finite."""
     rows = check.real(penalty, "penalty")
     if rows.ndim != 2 or rows.shape[1] != p:
-        check.refuse("penalty", f"It must have shape (k, {p}), as A has {p} columns.", f"shape {rows.shape}")
+        ridge = f": sqrt(w) * np.eye({p}) is ridge regression of weight w" if rows.ndim == 0 else ""
+        rule = f"It must have shape (k, {p}), as A has {p} columns{ridge}."
+        check.refuse("penalty", rule, f"shape {rows.shape}" if rows.ndim else check.describe(penalty))
     return check.finite(rows, "penalty")
 
 

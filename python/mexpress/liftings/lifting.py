@@ -304,8 +304,8 @@ def lifting_named(name: str) -> type[Lifting]:
     'tps'
     """
     if not isinstance(name, str) or name not in LIFTINGS:
-        rule = f"It must be one of {', '.join(LIFTINGS)}, or of a class that `register` has entered."
-        check.refuse("lifting", rule, check.describe(name))
+        rule = f"It must be one of {', '.join(LIFTINGS)}, or a name that `mexpress.liftings.register` has entered."
+        check.refuse("lifting", rule + check.nearest_name(name, LIFTINGS), check.describe(name))
     return LIFTINGS[name]
 
 

@@ -175,7 +175,7 @@ class FittedModel(Model):
         0.89
         """
         points = check.queries(points, "points")
-        rule = "It must be between 0 and 1."
+        rule = "It must be between 0 and 1, such as 0.95 for 95 %."
         share = check.number(level, "level", rule, 0.0, strict=True)
         if share >= 1:
             check.refuse("level", rule, check.describe(level))

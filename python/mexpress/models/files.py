@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from mexpress import _validation as check
 from mexpress.io.archives import read_arrays, replacing
 
 FORMAT = "mexpress model"
 VERSION = 1
 
+_HEADER = {"format", "version", "kind"}
 
 KINDS: dict[str, Any] = {}
 """Classes of models in files, by their kind; `Model` adds its subclasses."""
@@ -64,24 +66,32 @@ def load(path: str | os.PathLike[str]) -> Any:
     ...     load(f"{folder}/warp.npz")
     Warp(fractional tps, 3 control points)
     """
+    path = check.path(path)
     try:
-        arrays = read_arrays(Path(path), "path")
+        arrays = read_arrays(path, "array")
     except ValueError as error:
-        raise _invalid(path, f"a file that is no archive of arrays: {error}") from error
+        raise _invalid(path, "a file of another kind, or a damaged one") from error
+    if _HEADER - arrays.keys():
+        there = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
+        raise _invalid(path, f"which holds {there}")
     try:
         name, version, kind = str(arrays["format"]), int(arrays["version"]), str(arrays["kind"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise _invalid(path, "an archive without a model") from error
-    if name != FORMAT or version > VERSION or kind not in KINDS:
-        raise _invalid(path, f"{name!r} {version} of kind {kind!r} (this version reads {FORMAT!r} {VERSION})")
+    except (TypeError, ValueError) as error:
+        raise _invalid(path, "whose header is damaged") from error
+    if name == FORMAT and (version > VERSION or kind not in KINDS):
+        raise _invalid(path, f"a {kind} of format {version}; this version of mexpress reads up to {VERSION}")
+    if name != FORMAT:
+        raise _invalid(path, f"which holds {name!r}")
     try:
         return KINDS[kind].from_arrays(arrays)
-    except (KeyError, TypeError, ValueError) as error:
-        raise _invalid(path, f"a model that cannot be rebuilt: {error}") from error
+    except KeyError as error:
+        raise _invalid(path, f"a model without {error}") from error
+    except (TypeError, ValueError) as error:
+        raise _invalid(path, f"a model that cannot be rebuilt: {str(error).removesuffix('.')}") from error
 
 
-def _invalid(path: str | os.PathLike[str], what: str) -> ValueError:
-    return ValueError(f"Invalid path. It must name a saved model. Given {os.fspath(path)!r}, {what}.")
+def _invalid(path: Path, what: str) -> ValueError:
+    return ValueError(f"Invalid path. It must name a saved model. Given {str(path)!r}, {what}.")
 
 
 def _class_names() -> str:

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -315,7 +314,7 @@ class Surface(FittedModel):
         ['surface.ply']
         """
         self._check_space("become a mesh")
-        ending = Path(path).suffix.lower()
+        ending = check.path(path).suffix.lower()
         if ending not in {".ply", ".obj"}:
             check.refuse("path", "It must end in .ply or .obj.", check.describe(os.fspath(path)))
         grid = self.grid(step, shape)

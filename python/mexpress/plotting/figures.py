@@ -36,7 +36,11 @@ def new_figure(width: float, height: float) -> Figure:
 def saved(figure: Figure, path: PathLike | None) -> Figure:
     """Return the figure, saved if there is a path."""
     if path is not None:
-        figure.savefig(path)
+        file = check.path(path)
+        known = figure.canvas.get_supported_filetypes()
+        if file.suffix[1:].lower() not in known:
+            check.refuse("path", f"It must end in one of .{', .'.join(sorted(known))}.", repr(str(file)))
+        figure.savefig(file)
     return figure
 
 

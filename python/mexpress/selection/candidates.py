@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +14,13 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.criteria import Domain, Scorer, parse
+from mexpress.geometry import thinness
 from mexpress.leastsquares.nested import steps
 from mexpress.liftings import Lifting, ThinPlateSpline
 from mexpress.models import Basis, CardinalBasis, Design, ModelT, NestedBasis
 from mexpress.progress import bar
 from mexpress.schemes import Scheme
-from mexpress.selection.data import Data, total_weight
+from mexpress.selection.data import Data, Matches, total_weight
 from mexpress.selection.defaults import CRITERIA, is_automatic
 from mexpress.selection.queries import Queries
 from mexpress.selection.selection import Selection
@@ -28,6 +29,9 @@ from mexpress.selection.weights import smoothing_weights, tie_slack
 
 _FEW = 3
 """Up to this number, nested designs cost less one by one than in one sweep."""
+
+_THIN = 1e-3
+"""In regions with a larger ratio of width to length, control points can be placed."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,10 @@ class CriteriaRequest:
         """Return the name of the criterion that selects, and a scorer of all criteria; `nested` of nested designs."""
         check.generator(self.seed)
         chosen, names = self._names
-        return chosen, Scorer.over(names, self._domain, nested) | Scorer.over(self._own, self._domain)
+        scorer = Scorer.over(names, self._domain, nested)
+        if chosen not in scorer.criteria and chosen not in self._own:
+            scorer |= Scorer.over([chosen], self._domain, nested, "criterion")
+        return chosen, scorer | Scorer.over(self._own, self._domain)
 
     @cached_property
     def listed(self) -> tuple[str, Scorer]:
@@ -84,7 +91,8 @@ class CriteriaRequest:
     @property
     def shown(self) -> frozenset[str]:
         """Names of the criteria that were asked for."""
-        return frozenset({parse(name).name for name in self._names[1]} | self._own.keys())
+        chosen, names = self._names
+        return frozenset({chosen} | {parse(name).name for name in names} | self._own.keys())
 
     @property
     def _own(self) -> Mapping[str, Scheme]:
@@ -92,13 +100,12 @@ class CriteriaRequest:
 
     @cached_property
     def _names(self) -> tuple[str, list[str]]:
-        """The criterion that selects, and all criteria by name: without any scheme, which can be large."""
+        """The criterion that selects, and the others by name: without any scheme, which can be large."""
         if isinstance(self.criterion, str) and self.criterion in self._own:
             return self.criterion, []
         named = CRITERIA if self.criteria is None or self._own else self.criteria
         names = check.items(named, "criteria", "It must be a list of names, or schemes by name.")
-        chosen = parse(self.criterion).name
-        return chosen, [*names, chosen]
+        return parse(self.criterion).name, names
 
     @cached_property
     def _domain(self) -> Domain:
@@ -184,7 +191,23 @@ class Candidates(Generic[ModelT]):
         where, seed, threads = request.data.domain, request.seed, request.threads
         placed = (self.lifting.place_over(where, count, seed, threads) for count in counts)
         by_count = {len(control_points): control_points for control_points in placed}
-        return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
+        try:
+            return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
+        except ValueError as error:  # of control points that the user has not given
+            self._refuse_region(request.data, error)
+
+    def _refuse_region(self, data: Data, error: ValueError) -> NoReturn:
+        """Refuse data in whose region control points cannot be placed."""
+        thin = thinness(data.domain.corners)
+        if thin > _THIN:
+            raise error
+        nested = ', or with placement="nested"' if self.lifting is ThinPlateSpline else ""
+        rule = (
+            f"Their region must be wide enough for control points: try fewer{nested}, or scale x and y so that it "
+            "is nearly square."
+        )
+        given = f"{len(data.points)} points whose spread across a line is {thin:.1g} of that along it"
+        check.refuse("source" if isinstance(data, Matches) else "points", rule, given)
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:
@@ -199,13 +222,14 @@ def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | No
         return None
     sequence = list(counts) if isinstance(counts, range) else counts
     if isinstance(sequence, int | float | np.number):
-        check.refuse(
-            "counts", "It must be a list of numbers of control points.", check.describe(counts), TypeError
-        )
-    wished = check.indices(sequence, "counts")
-    if wished.size == 0 or wished.min() < 3 or wished.max() > n:
-        rule = f"They must be one or more, from 3 to the number of {name}, {n}."
+        rule = f"It must be a list of numbers of control points, such as [{sequence:.0f}] or range(3, 20)."
+        check.refuse("counts", rule, check.describe(counts), TypeError)
+    rule = f"They must be different whole numbers, one or more, from 3 to the number of {name}, {n}."
+    wished = check.integers(sequence, "counts", rule)
+    if wished.size == 0 or len(np.unique(wished)) < len(wished):
         check.refuse("counts", rule, check.describe(counts))
+    if wished.min() < 3 or wished.max() > n:
+        check.refuse("counts", rule, f"{wished.min()}" if wished.min() < 3 else f"{wished.max()}")
     return np.sort(wished)
 
 
@@ -225,7 +249,7 @@ def checked_placement(
         return default if splines else "lloyd"
     if not isinstance(placement, str) or placement not in choices:
         *others, last = (f'"{choice}"' for choice in choices)
-        rule = f"It must be {', '.join(others)} or {last}."
+        rule = f"It must be {', '.join(others)} or {last}.{check.nearest_name(placement, choices)}"
         check.refuse("placement", rule, check.describe(placement))
     if placement != "lloyd" and not splines:
         check.refuse(

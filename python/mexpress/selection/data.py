@@ -205,6 +205,21 @@ def those_present(data: DataT) -> DataT:
     return part(data, present(data))
 
 
+def is_speck(data: Data) -> bool:
+    """Return whether points are hardly in the pixels of an image: fractions of it, or within 1 % of its diagonal.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    >>> is_speck(Matches.of(square, square, (640, 480))), is_speck(Matches.of(square, square))
+    (True, False)
+    """
+    if data.image_size is None:
+        return False
+    fractions = float(np.abs(data.points).max()) <= 1 < min(data.image_size)
+    return fractions or diagonal(data.points) < 0.01 * data.diagonal
+
+
 def total_weight(data: Data) -> float:
     """Return the sum of the weights."""
     return float(len(data.points)) if data.weights is None else float(data.weights.sum())

@@ -1,5 +1,6 @@
 """Fits of warps and surfaces with given control points."""
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
@@ -11,6 +12,7 @@ from mexpress.selection.data import Matches, Samples, those_present, total_weigh
 from mexpress.selection.defaults import surface_defaults, warp_defaults
 from mexpress.selection.incomplete import RAISE
 from mexpress.selection.sweep import sweep_designs
+from mexpress.selection.unscored import refuse_unscored
 from mexpress.selection.weights import smoothing_weights, tie_slack
 
 
@@ -160,7 +162,12 @@ def _fit(
     weights = smoothing_weights(smoothing, total_weight(request.data), request.data.domain.area, design.count)
     name, scorer = request.listed if len(weights) > 1 else ("", Scorer({}, {}))
     sweep = sweep_designs([design], weights, scorer, request.threads, lambda: None)
-    place = sweep.selection(name, tie_slack(smoothing, n)).place if name else (0, 0)
+    place = (0, 0)
+    if name:
+        selection = sweep.selection(name, tie_slack(smoothing, n))
+        if np.isnan(selection.maps[name]).all():
+            refuse_unscored(selection, request)
+        place = selection.place
     model = sweep.model(*place)
     if model is None:
         rule = f"The {data} must determine the {what}, so take fewer control points, or smoothing above 0."

@@ -16,16 +16,13 @@ import numpy as np
 
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
-from mexpress.criteria import parse
+from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
 from mexpress.geometry import diagonal, lattice
 from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
-from mexpress.selection.data import Data, Matches
+from mexpress.selection.data import Data, Matches, is_speck
 from mexpress.selection.selection import Selection
-
-_WITHOUT_HOLDING_OUT = {"FIT", "PRESS", "AIC", "BIC", "GCV"}
-"""Families that hold out no data, or only rows; their choices differ from the others' as a rule."""
 
 _APART, _WORSE = 2.0, 1.2
 """Criteria disagree if one selects twice the parameters of the other, and finds the other's model 20 % worse."""
@@ -188,6 +185,7 @@ def notes(subject: Subject) -> tuple[str, ...]:
     """
     checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
         _outside_image,
+        _speck_of_image,
         _wrong_data,
         _failures,
         _wide_radius,
@@ -226,6 +224,15 @@ def _outside_image(subject: Subject) -> Iterator[str]:
             f"{outside} of {len(points)} source points are outside of the image of {width:g} x {height:g} pixels: the "
             f"largest x is {x:.5g}, the largest y {y:.5g}. Give points as (x, y), not (row, column), in pixels of the "
             "image of image_size=SIZE."
+        )
+
+
+def _speck_of_image(subject: Subject) -> Iterator[str]:
+    if subject.data.image_size is not None and is_speck(subject.data):
+        extent, (width, height) = diagonal(subject.data.points), subject.data.image_size
+        yield (
+            f"The source points extend over {extent:.3g} only, in an image of {width:g} x {height:g} pixels. Give "
+            "points in pixels, not as fractions of the image, or no image_size=SIZE."
         )
 
 
@@ -274,28 +281,20 @@ def _wide_radius(subject: Subject) -> Iterator[str]:
 def _too_wide(subject: Subject) -> list[str]:
     """Radii that reach from the middle of the data over all of them."""
     limit = 50 * diagonal(subject.data.points) / subject.data.diagonal
-    return [name for name in subject.scores.maps if _family(name) == "ER" and parse(name).amount >= limit]
-
-
-def _family(name: str) -> str:
-    """Return a criterion's family, or the name of a scheme of one's own."""
-    try:
-        return parse(name).family
-    except ValueError:
-        return name
+    return [name for name in subject.scores.maps if family(name) == "ER" and parse(name).amount >= limit]
 
 
 def _disagreement(subject: Subject) -> Iterator[str]:
     """Of the criteria that hold out data, name the one to which the selected model is worst."""
     scores, wide = subject.scores, _too_wide(subject)
     criterion = scores.criterion
-    if _family(criterion) in _WITHOUT_HOLDING_OUT:
+    if family(criterion) in WITHOUT_HOLDING_OUT:
         return
     most = _WORSE
     found = ""
     for name in scores.maps:
         choice = scores.choice(name)
-        if name == criterion or _family(name) in _WITHOUT_HOLDING_OUT or name in wide or choice is None:
+        if name == criterion or family(name) in WITHOUT_HOLDING_OUT or name in wide or choice is None:
             continue
         entrant, k, w = choice
         best, own = entrant.maps[name][k, w], scores.winner.maps[name][scores.winner.place]
@@ -315,7 +314,7 @@ def _disagreement(subject: Subject) -> Iterator[str]:
 
 
 def _strict(subject: Subject, stiff: str) -> str:
-    if _family(stiff) == "MATCHED":
+    if family(stiff) == "MATCHED":
         return f"{stiff} judges predictions in gaps that the {subject.many} leave"
     return f"{stiff} holds out more than lets predict this {subject.shape}"
 

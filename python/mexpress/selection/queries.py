@@ -12,7 +12,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import Region, lattice, nearest
 from mexpress.schemes import Places
-from mexpress.selection.data import Data
+from mexpress.selection.data import Data, Matches
 
 IMAGE = "image"
 """Queries all over the image."""
@@ -68,14 +68,21 @@ class Queries:
 
 def _positions(queries: ArrayLike | str, data: Data) -> Floats:
     if isinstance(queries, str):
-        if queries != IMAGE or data.image_size is None:
-            check.refuse("queries", _RULE, check.describe(queries))
+        if queries != IMAGE:
+            check.refuse("queries", _RULE + check.nearest_name(queries, [IMAGE]), check.describe(queries))
+        if not isinstance(data, Matches):
+            check.refuse(
+                "queries", "A surface has no image: they must be points or a rectangle.", repr(queries)
+            )
+        if data.image_size is None:
+            check.refuse("image_size", 'It must be given with queries="image".', "none")
         return _over((0.0, 0.0, *data.image_size), len(data.points))
     given = check.real(queries, "queries")
     if given.shape == (4,):
         left, top, right, bottom = check.finite(given, "queries").tolist()
         if not (left < right and top < bottom):
-            check.refuse("queries", _RULE, check.describe(queries))
+            rule = "A rectangle must be (left, top, right, bottom), with left < right and top < bottom."
+            check.refuse("queries", rule, check.describe(queries))
         return _over((left, top, right, bottom), len(data.points))
     if given.ndim != 2 or given.shape[1] != 2 or not len(given):
         check.refuse("queries", _RULE, check.describe(queries))

@@ -27,6 +27,7 @@ from mexpress.selection.candidates import Candidates, CriteriaRequest
 from mexpress.selection.data import Data
 from mexpress.selection.selection import Selection
 from mexpress.selection.sweep import Sweep
+from mexpress.selection.unscored import refuse_unscored
 
 PIECEWISE_AFFINE = "piecewise affine"
 
@@ -86,8 +87,7 @@ def select(
             winner = each
             break
     if winner is None:
-        own.place  # noqa: B018 - it says why there is none
-        raise AssertionError("a selection without a score has no place")
+        refuse_unscored(own, request)
     if bridge is not None:
         tried[PIECEWISE_AFFINE] = bridge.select(request, None)[:2]
         other = Entrant.best_of(PIECEWISE_AFFINE, *tried[PIECEWISE_AFFINE])

@@ -236,7 +236,8 @@ class WarpQuestion:
         """Select a warp for matches."""
         n = len(matches.source)
         if self.counts is None and n < 4:
-            check.refuse("source", "There must be four matches at least.", f"{n}")
+            above = "" if matches.weights is None else " of weight above 0"
+            check.refuse("source", f"There must be four matches{above} at least.", f"{n}")
         queries = None if self.queries is None else Queries.of(self.queries, matches, self.seed)
         request = CriteriaRequest(self.criterion, criteria, matches, self.seed, self.threads, queries)
         plain = self._plain(matches) if self._automatic else {}

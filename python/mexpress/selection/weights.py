@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.selection.defaults import is_automatic
+from mexpress.selection.defaults import AUTO, is_automatic
 
 _WEIGHTS = 20
 """Number of weights that "auto" tries."""
@@ -63,7 +63,7 @@ def smoothing_weights(smoothing: float | ArrayLike | str, n: float, area: float,
         return np.clip(weights, np.finfo(float).tiny, np.finfo(float).max)
     rule = 'It must be a number of at least 0, a list of such numbers, or "auto".'
     if isinstance(smoothing, str):
-        check.refuse("smoothing", rule, check.describe(smoothing))
+        check.refuse("smoothing", rule + check.nearest_name(smoothing, [AUTO]), check.describe(smoothing))
     if check.array(smoothing, "smoothing", rule).ndim == 0:
         return np.array([check.number(smoothing, "smoothing", rule, 0.0)])
     several = check.real(smoothing, "smoothing")
