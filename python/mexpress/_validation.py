@@ -190,7 +190,7 @@ def queries(value: ArrayLike, name: str) -> Floats:
             f"They must be positions of shape (k, 2){_as_points(array.shape, 2)}.",
             f"shape {array.shape}",
         )
-    known = (np.abs(array) <= LARGEST_COORDINATE).all(axis=1)
+    known = np.asarray((np.abs(array) <= LARGEST_COORDINATE).all(axis=1))
     return array if known.all() else np.where(known[:, None], array, np.nan)
 
 

@@ -56,7 +56,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     model = _load(arguments.model)
     points = _read(arguments)
-    known = np.isfinite(points).all(axis=1)
+    known = np.asarray(np.isfinite(points).all(axis=1))
     if not known.all():
         common.warn(f"{(~known).sum()} of {len(points)} points are not known, and nan in the result")
     if isinstance(model, Warp):
