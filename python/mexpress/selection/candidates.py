@@ -167,8 +167,12 @@ class Candidates(Generic[ModelT]):
         nested = ordered is not None and len(tried) > _FEW
         name, scorer = request.scorer(nested=True) if nested else request.listed
         liftings = [] if nested else self._liftings(request, tried, ordered)
-        rounds = steps(n) if nested else len(liftings)
-        with bar(rounds * len(weights), label) if label else nullcontext(lambda: None) as on_step:
+        costs = (
+            [1.0] * (steps(n) * len(weights))
+            if nested
+            else [_cost(n, lifting) for lifting in liftings for _ in weights]
+        )
+        with bar(costs, label) if label else nullcontext(lambda: None) as on_step:
             if ordered is not None and nested:
                 design = self.design(NestedBasis(ordered))
                 sweep = sweep_nested(design, np.array(tried), weights, scorer, request.threads, on_step)
@@ -185,6 +189,11 @@ class Candidates(Generic[ModelT]):
         placed = (self.lifting.place_over(where, count, seed, threads) for count in counts)
         by_count = {len(control_points): control_points for control_points in placed}
         return [self.lifting(control_points) for _, control_points in sorted(by_count.items())]
+
+
+def _cost(n: int, lifting: Lifting) -> float:
+    """Return about how many multiply-adds a weight of a design takes: any takes some; then the fit, and held-out sets."""
+    return 1e7 + n * len(lifting.control_points) ** 2 * (10 + n / 20)
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:
