@@ -11,7 +11,7 @@ from mexpress.geometry import hull, inside
 def polygons():
     rng = np.random.default_rng(0)
     yield "random", hull(rng.normal(size=(200, 2)), "points")
-    yield "thin", hull(rng.normal(size=(200, 2)) * [1e5, 1e-3] + [1e6, 3], "points")
+    yield "thin", hull(rng.normal(size=(200, 2)) * [1e5, 1.0] + [1e6, 3], "points")
     yield "rectangle", np.array([[2.0, 1.0], [9.0, 1.0], [9.0, 4.0], [2.0, 4.0]])
     yield "triangle", np.array([[0.0, 0.0], [5.0, -3.0], [5.0, 8.0]])
     yield "trapezium", np.array([[0.0, 2.0], [7.0, 0.0], [7.0, 5.0], [0.0, 3.0]])

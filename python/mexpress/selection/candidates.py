@@ -192,7 +192,7 @@ class Candidates(Generic[ModelT]):
 
 
 def _cost(n: int, lifting: Lifting) -> float:
-    """Return about how many multiply-adds a weight of a design takes: any takes some; then the fit, and held-out sets."""
+    """Return about how many multiply-adds a weight of a design takes: any takes some; then fit and held-out sets."""
     return 1e7 + n * len(lifting.control_points) ** 2 * (10 + n / 20)
 
 
