@@ -1,7 +1,7 @@
 """Warps of whole images: seconds, memory and errors of dense maps, inverse maps and moved images.
 
-`python benches/images.py` takes 236 control points, over images of 600 x 400 and of 4000 x 3000 pixels. Every figure is of
-a process of its own; errors are against 20,000 pixels one by one.
+`python benches/images.py` takes 236 control points, over images of 600 x 400 and 4000 x 3000 pixels. Every figure is
+of a process of its own; errors are against 20,000 pixels one by one.
 """
 
 import argparse
