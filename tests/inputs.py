@@ -229,6 +229,10 @@ BAD_INDICES = [
 # Every function with an argument that is a whole number of at least 1: its name, a good one, and a call that returns
 # plain numbers. Where None will do, it means the good one.
 NUMBERS = {
+    "dense_map width": ("width", 2, lambda x: WARP.dense_map(x, 3)),
+    "dense_map height": ("height", 3, lambda x: WARP.dense_map(2, x)),
+    "inverse_map width": ("width", 2, lambda x: WARP.inverse_map(x, 3)),
+    "inverse_map height": ("height", 3, lambda x: WARP.inverse_map(2, x)),
     "leave_one_out n": ("n", 5, lambda x: held(s.leave_one_out(x))),
     "k_fold n": ("n", 9, lambda x: held(s.k_fold(x, 3, seed=0))),
     "k_fold k": ("k", 3, lambda x: held(s.k_fold(9, x, seed=0))),

@@ -115,7 +115,10 @@ def map_problems(
     check.flag(progress, "progress")
     results: dict[int, Result] = {}
     stream = _stream(function, calls, workers, client)
-    with closing(stream), bar(len(calls), "problems") if progress else nullcontext(lambda: None) as step:
+    with (
+        closing(stream),
+        bar([1] * len(calls), "problems") if progress else nullcontext(lambda: None) as step,
+    ):
         for index, result in stream:
             results[index] = result
             if on_result is not None:

@@ -192,14 +192,17 @@ def inside(corners: Floats, x: Floats, y: Floats) -> NDArray[np.bool_]:
     >>> inside(triangle, np.array([0.5, 1.0, 1.5, -1.0]), np.array([0.5, 1.0, 1.5, 0.5]))
     array([ True,  True, False, False])
     """
-    # A convex region is above the lines of its lower edges, which run to the right, and below those of the upper ones.
+    # A convex region is above its lower edges, which run to the right, and below the upper ones.
     low, extent = corners.min(axis=0), np.ptp(corners, axis=0)
     corners, x, y = corners - low, x - low[0], y - low[1]  # exact, so that rounding is the same far from zero
-    edges = np.roll(corners, -1, axis=0) - corners
-    sloped = np.abs(edges[:, 0]) > 1e-12 * extent[0]  # other edges are the left and the right end
-    (dx, dy), (ax, ay) = edges[sloped].T, corners[sloped].T
-    lines = ay[:, None] + (x - ax[:, None]) * (dy / dx)[:, None]
-    below, above = lines[dx > 0].max(axis=0), lines[dx < 0].min(axis=0)
+    ends = np.roll(corners, -1, axis=0)
+    run = (ends - corners)[:, 0] / extent[0]
+
+    def line(edges: NDArray[np.bool_]) -> Floats:
+        return np.vstack([corners[edges], ends[edges][-1:]])
+
+    # Other edges are the left and the right end.
+    below, above = np.interp(x, *line(run > 1e-12).T), np.interp(x, *line(run < -1e-12)[::-1].T)
     between = (x >= -EDGE * extent[0]) & (x <= (1 + EDGE) * extent[0])
     return np.asarray(between & (y >= below - EDGE * extent[1]) & (y <= above + EDGE * extent[1]))
 

@@ -2,8 +2,9 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import accumulate
 from typing import TextIO
 
 _PATIENCE = 1.0
@@ -18,12 +19,15 @@ _CELLS = 24
 
 @contextmanager
 def bar(
-    total: int,
+    costs: Sequence[float],
     label: str,
     stream: TextIO | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Callable[[], None]]:
-    """Show the progress of work of `total` steps, called `label`; yields a function to call after each step.
+    """Show the progress of work called `label`; yields a function to call after each step.
+
+    `costs` has a number for each step, in any unit: the time that is left is what the costs so far have taken for what
+    is left of them.
 
     Nothing is shown in the first second. After that, a terminal shows one line that is redrawn, and wiped at the end.
     Any other stream, such as a log file, gets a line every five seconds. The stream is standard error by default;
@@ -31,11 +35,11 @@ def bar(
 
     Examples
     --------
-    >>> with bar(3, "warps") as step:
+    >>> with bar([1, 1, 4], "warps") as step:
     ...     for _ in range(3):
     ...         step()
     """
-    line = _Line(total, label, stream or sys.stderr, clock)
+    line = _Line(costs, label, stream or sys.stderr, clock)
     try:
         yield line.step
     finally:
@@ -43,9 +47,12 @@ def bar(
 
 
 class _Line:
-    def __init__(self, total: int, label: str, stream: TextIO | None, clock: Callable[[], float]) -> None:
-        self.total, self.label, self.stream, self.clock = total, label, stream, clock
-        self.done = 0
+    def __init__(
+        self, costs: Sequence[float], label: str, stream: TextIO | None, clock: Callable[[], float]
+    ) -> None:
+        self.label, self.stream, self.clock = label, stream, clock
+        self.total, self.done = len(costs), 0
+        self.reached = list(accumulate(costs, initial=0.0))
         self.start = clock()
         self.next = self.start + _PATIENCE
         self.terminal = stream is not None and stream.isatty()
@@ -66,7 +73,7 @@ class _Line:
         self.stream.flush()
 
     def text(self, elapsed: float) -> str:
-        share = min(self.done / max(self.total, 1), 1.0)
+        share = self.reached[min(self.done, self.total)] / self.reached[-1]
         left = elapsed / share - elapsed
         counted = f"{self.label}: {self.done} of {self.total}, {_duration(left)} left"
         if not self.terminal:

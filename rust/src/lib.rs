@@ -43,6 +43,7 @@
 //! | [`near::hilbert`] | an order in which successive data are near each other |
 //! | [`place::lloyd`] | Lloyd's algorithm for control points |
 //! | [`place::by_residual`] | control points that arrive where residuals are largest |
+//! | [`evaluate::spline`] | thin-plate splines and their slopes at many points |
 //! | [`sets`] | index sets in compressed rows |
 //! | [`pool`] | threads, cancellation, `fork` |
 //! | [`error`] | what can go wrong |
@@ -85,6 +86,7 @@
 #![deny(missing_docs)]
 
 pub mod error;
+pub mod evaluate;
 pub mod fit;
 pub mod holdout;
 pub mod near;

@@ -1,3 +1,4 @@
+import contextlib
 import csv
 import io
 import json
@@ -12,7 +13,10 @@ from rasters import png
 import mexpress as mx
 from mexpress.cli import main
 from mexpress.cli.report import table
+from mexpress.io.image_writing import write_image
+from mexpress.io.images import read_image
 from mexpress.io.matches import read_points, write_matches
+from mexpress.liftings import ThinPlateSpline
 from mexpress.progress import bar
 
 RNG = np.random.default_rng(1)
@@ -255,6 +259,71 @@ def test_apply_tells_where_it_extrapolates(run, tmp_path, model):
     assert "1 of 2 points are outside the region of the matches" in errors
 
 
+@pytest.mark.parametrize("inverse", [False, True])
+def test_apply_moves_an_image(run, tmp_path, model, inverse):
+    photo = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    write_image(tmp_path / "photo.PNG", photo)
+    command = "apply", model, tmp_path / "photo.PNG", "--out", tmp_path / "aligned.png", "--size", "80x50"
+    status, text, errors = run(*command, *(["--inverse"] if inverse else []))
+    assert (status, text, errors) == (0, "", "")
+    expected = mx.load(model).remap(photo, (80, 50), inverse=inverse)
+    assert expected.any()
+    np.testing.assert_array_equal(read_image(tmp_path / "aligned.png"), expected)
+
+
+def test_apply_tells_which_pixels_come_from_nowhere(run, tmp_path):
+    spline = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
+    parameters = np.column_stack([[1.0, 2, 1], [1.0, 1, 2], [1.0, 0, 1]])  # the denominator is 1 - x
+    mx.Warp(spline, parameters, [[0, 0], [0.5, 0], [0, 0.5]]).save(tmp_path / "horizon.npz")
+    write_image(tmp_path / "photo.jpg", np.full((4, 6), 9, np.uint8))
+    command = (
+        "apply",
+        tmp_path / "horizon.npz",
+        tmp_path / "photo.jpg",
+        "--inverse",
+        "--out",
+        tmp_path / "out.tif",
+    )
+    status, text, errors = run(*command)
+    assert (status, text) == (0, "")
+    assert errors == "mexpress: 20 of 24 pixels have no image, and are 0\n"
+    assert (read_image(tmp_path / "out.tif")[:, 1:] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "--out must be given for an image"),
+        (["--out", "aligned.csv"], "--out must be given for an image, and end in one of .bmp"),
+        (["--out", "aligned.png", "--size", "5"], "must be WIDTHxHEIGHT in pixels"),
+        (["--out", "aligned.png", "--size", "0x5"], "must be WIDTHxHEIGHT in pixels"),
+        (
+            ["--out", "aligned.jpg"],
+            "Invalid --out. It must end as a format that holds such an image. Given aligned.jpg",
+        ),
+    ],
+)
+def test_apply_refuses_images_that_it_cannot_write(run, tmp_path, model, options, message):
+    write_image(tmp_path / "photo.png", np.full((4, 6), 9, np.uint16))
+    options = [tmp_path / name if name.startswith("aligned") else name for name in options]
+    status, text, errors = run("apply", model, tmp_path / "photo.png", *options)
+    assert (status, text) == (2, "")
+    assert message in errors
+    assert {file.name for file in tmp_path.iterdir()} >= {"photo.png"}
+    assert not list(tmp_path.glob("aligned*"))
+
+
+def test_apply_moves_no_image_by_a_surface(run, tmp_path):
+    square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+    mx.fit_surface(square, [0, 1, 2, 3], square).save(tmp_path / "surface.npz")
+    write_image(tmp_path / "photo.png", np.full((4, 6), 9, np.uint8))
+    status, _, errors = run(
+        "apply", tmp_path / "surface.npz", tmp_path / "photo.png", "--out", tmp_path / "a.png"
+    )
+    assert status == 2
+    assert "an image is moved by a warp" in errors
+
+
 @pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04", b"1,2\n"])
 def test_apply_with_a_bad_model_is_one_line(run, tmp_path, content):
     (tmp_path / "p.csv").write_text("1,2\n")
@@ -334,10 +403,10 @@ def terminal():
     return stream
 
 
-def progress_of(stream, seconds):
+def progress_of(stream, seconds, costs=None):
     """Return what is written during steps of the given durations."""
     now = [0.0]
-    with bar(len(seconds), "warp", stream, lambda: now[0]) as step:
+    with bar(costs or [1] * len(seconds), "warp", stream, lambda: now[0]) as step:
         for duration in seconds:
             now[0] += duration
             step()
@@ -356,6 +425,37 @@ def test_a_terminal_has_one_line_that_is_wiped():
     assert text.split("\r")[-2].strip() == ""
 
 
+def test_the_time_left_is_what_the_costs_left_will_take():
+    seconds = [0.01 * count**2 for count in range(1, 60)]
+    total, done = sum(seconds), 0.0
+    lines = iter(progress_of(io.StringIO(), seconds, costs=[7 * s for s in seconds]).splitlines())
+    line = next(lines)
+    for k, second in enumerate(seconds, 1):
+        done += second
+        if line.startswith(f"warp: {k} of 59, "):
+            minutes, left = divmod(round(total - done), 60)
+            assert line.endswith(f", {f'{minutes} min ' if minutes else ''}{left} s left")
+            line = next(lines, "")
+    assert not line
+
+
+def test_a_sweep_knows_that_more_control_points_cost_more(monkeypatch):
+    costs, steps = [], []
+
+    @contextlib.contextmanager
+    def recorded(given, label):
+        costs.extend(given)
+        yield lambda: steps.append(label)
+
+    monkeypatch.setattr("mexpress.selection.candidates.bar", recorded)
+    source, target = np.random.default_rng(0).uniform(0, 100, (2, 60, 2))
+    mx.select_warp(
+        source, target, "FIT", counts=[3, 6, 12], smoothing=[1, 2], placement="lloyd", progress=True
+    )
+    assert len(costs) == len(steps) == 6
+    assert costs[0] == costs[1] < costs[2] < costs[4]
+
+
 def test_a_log_has_few_lines():
     lines = progress_of(io.StringIO(), [0.5] * 400).splitlines()
     assert len(lines) == 40
@@ -365,7 +465,7 @@ def test_a_log_has_few_lines():
 def test_no_stream_no_progress(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stderr", None)
     times = iter([0.0, 9.0])
-    with bar(1, "warp", clock=times.__next__) as step:
+    with bar([1], "warp", clock=times.__next__) as step:
         step()
     assert list(times) == []  # the step was taken
     assert capsys.readouterr() == ("", "")

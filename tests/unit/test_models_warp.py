@@ -334,7 +334,7 @@ def test_opencv_and_skimage_bring_the_target_image_into_the_frame_of_the_source(
 
 def test_the_dense_map_holds_the_warp_of_every_pixel(warp):
     width, height = 37, 23
-    maps = warp.dense_map(width, height)
+    maps = warp.dense_map(width, height, tolerance=0)
     assert maps.shape == (2, height, width)
     assert maps.dtype == np.float32
     for x, y in [(0, 0), (36, 0), (0, 22), (36, 22), (20, 11)]:
@@ -548,6 +548,18 @@ def test_options_that_are_none_are_refused(name, value):
     [
         ("dense_map", (0, 5), "width"),
         ("dense_map", (5, 2.5), "height"),
+        ("dense_map", (5, 5, -1.0), "tolerance"),
+        ("dense_map", (5, 5, np.nan), "tolerance"),
+        ("inverse_map", (0, 5), "width"),
+        ("inverse_map", (5, 2.5), "height"),
+        ("inverse_map", (5, 5, "fine"), "tolerance"),
+        ("remap", ([1, 2],), "image"),
+        ("remap", (np.zeros((3, 0)),), "image"),
+        ("remap", ([["a"]],), "image"),
+        ("remap", ([[1j]],), "image"),
+        ("remap", ([[1]], 5), "size"),
+        ("remap", ([[1]], (5, 2.5)), "size"),
+        ("remap", ([[1]], (5, 5, 5)), "size"),
         ("inverse", ([[1, 1]], 0.0), "tolerance"),
         ("inverse", ([[1, 1]], np.nan), "tolerance"),
         ("inverse", ([[1, 1]], 1e-6, -1), "max_steps"),
@@ -557,6 +569,25 @@ def test_options_that_are_none_are_refused(name, value):
 def test_arguments_that_are_none_are_refused(method, arguments, name):
     with pytest.raises((ValueError, TypeError), match=rf"Invalid {name}\. .* Given "):
         getattr(WARPS[1], method)(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("method", "arguments"),
+    [("__call__", ([[1, 1]],)), ("dense_map", (5, 5)), ("inverse_map", (5, 5)), ("remap", ([[1]],))],
+)
+@pytest.mark.parametrize("outside", ["NaN", np.nan, None, 0])
+def test_no_other_values_outside_than_two(method, arguments, outside):
+    with pytest.raises(ValueError, match=r"Invalid outside\. .* Given "):
+        getattr(WARPS[1], method)(*arguments, outside=outside)
+
+
+@pytest.mark.parametrize(
+    ("image", "fill"),
+    [([[1]], 0.5), ([[1]], np.nan), ([[True]], 2), (np.zeros((2, 2, 3)), [1, 2]), ([[1.0]], "x")],
+)
+def test_values_that_no_pixel_has_are_refused(image, fill):
+    with pytest.raises((ValueError, TypeError), match=r"Invalid fill\. .* Given "):
+        WARPS[1].remap(image, fill=fill)
 
 
 @pytest.mark.parametrize(

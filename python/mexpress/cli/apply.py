@@ -1,4 +1,4 @@
-"""`mexpress apply`: evaluate a saved model at points."""
+"""`mexpress apply`: evaluate a saved model at points, or move an image."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ import numpy as np
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.cli import common
+from mexpress.cli.apply_image import apply_image, whole_size
 from mexpress.geometry import inside
 from mexpress.io import matches
+from mexpress.io.image_writing import is_image
 from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
@@ -23,12 +25,13 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "apply",
-        help="evaluate a saved model at points",
+        help="evaluate a saved model at points, or move an image",
         description="Map points from the source image to the target image with the warp in a file, or evaluate "
         "the surface in a file at points: a depth or a point in space, as columns x, y, z. Points that are "
         "nan have rows of nan, so that results are read like any points. If the model has the data of its fit, a "
         "column error has the error to expect: the root mean square difference from a measurement, its norm if there "
-        "are several values.",
+        "are several values. An image is moved as its points would be: a source image into the frame of the target "
+        "image, or with --inverse a target image into that of the source image.",
     )
     add = parser.add_argument
     add(
@@ -41,7 +44,7 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "points",
         metavar="POINTS",
         type=Path,
-        help="text with columns x y, .npz, .npy or .parquet; - is standard input",
+        help="text with columns x y, .npz, .npy or .parquet; an image; - is standard input",
     )
     common.add_table(parser, "x,y")
     add(
@@ -49,12 +52,21 @@ def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
         action="store_true",
         help="of a warp: from the target image to the source image; nan where impossible, and no errors",
     )
-    add("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
+    add(
+        "--size",
+        type=whole_size,
+        metavar="WxH",
+        help="of an image: size of the result in pixels (default: that of the image)",
+    )
+    add("--out", type=Path, metavar="FILE", help="where to write (default: standard output, but of an image)")
     parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> None:
     model = _load(arguments.model)
+    if is_image(arguments.points):
+        apply_image(model, arguments)
+        return
     points = _read(arguments)
     known = np.asarray(np.isfinite(points).all(axis=1))
     if not known.all():
@@ -62,6 +74,8 @@ def _run(arguments: argparse.Namespace) -> None:
     if isinstance(model, Warp):
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
+        if not arguments.inverse:
+            _warn_of_gaps(model, points)
         _warn_doubtful(model, (mapped if arguments.inverse else points)[known], mapped[known])
     else:
         if arguments.inverse:
@@ -70,6 +84,7 @@ def _run(arguments: argparse.Namespace) -> None:
         if table.shape[1] == 1:  # a depth with its position is a point in space, which can be read again
             table = np.column_stack([np.where(known[:, None], points, np.nan), table])
         _write(table, _error(model, points), arguments.out)
+        _warn_of_gaps(model, points)
         common.warn_outside(model.domain, points[known], len(points), "the region of the data: the surface")
 
 
@@ -97,16 +112,19 @@ def _read(arguments: argparse.Namespace) -> Floats:
 
 
 def _error(model: FittedModel, points: Floats) -> Floats | None:
-    """Return the error to expect, if the model has its data, and warn of gaps that are too wide to know."""
+    """Return the error to expect, if the model has its data."""
+    return None if model.data is None else model.error(points)
+
+
+def _warn_of_gaps(model: FittedModel, points: Floats) -> None:
+    """Warn of gaps in the data that are too wide for errors to be known."""
     if model.data is None:
-        return None
-    error = model.error(points)
+        return
     wide = (inside(model.domain, *points.T) & ~model.covers(points)).sum()
     if wide:
         common.warn(
             f"{wide} of {len(points)} points are in gaps of the data wider than errors could be tested in"
         )
-    return error
 
 
 def _write(table: Floats, error: Floats | None, path: Path | None) -> None:
@@ -122,13 +140,12 @@ def _write(table: Floats, error: Floats | None, path: Path | None) -> None:
 
 
 def _warn_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
-    total = len(mapped)
-    lost = (~np.isfinite(mapped).all(axis=1)).sum()
-    if lost:
-        common.warn(f"{lost} of {total} points have no image")
+    total, lost = len(mapped), (~np.isfinite(mapped).all(axis=1)).sum()
     source = source[np.isfinite(source).all(axis=1)]
     common.warn_outside(warp.domain, source, total, "the region of the matches: the warp")
     vanishing = warp.vanishes(source).sum() if len(source) else 0
     if vanishing:
-        what = "are where the warp's denominator vanishes: their images mean nothing"
+        what = "are where the warp's denominator vanishes, and have no image"
         common.warn(f"{vanishing} of {total} points {what}")
+    if lost > vanishing:
+        common.warn(f"{lost - vanishing} of {total} points have no image")

@@ -103,6 +103,7 @@ def _health(selection: WarpSelection) -> dict[str, Any]:
     """Return what there is to know about a warp besides its score."""
     warp, kept = selection.warp, selection.kept
     errors = np.hypot(*(selection.target[kept] - warp(selection.source[kept])).T)
+    errors[np.isnan(errors)] = np.inf  # beyond the horizon
     folded, vanishing = failures(warp)
     return {
         "file": "warp.npz",

@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
@@ -45,11 +46,15 @@ class ThinPlateSpline(Lifting):
 
     def basis(self, points: ArrayLike) -> Floats:
         """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others."""
-        return self.values(check.points(points, "points"), np.eye(len(self.control_points)))
+        return self.at(check.points(points, "points"))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def at(self, points: Floats) -> Floats:
         """Return the basis at checked points, (n, l)."""
-        return self.values(points, np.eye(len(self.control_points)))
+        basis = np.empty((len(points), len(self.control_points)))
+        for rows in blocks(len(points), len(self.control_points)):
+            basis[rows] = self._terms(points[rows]) @ self._solution[0]
+        return basis
 
     @classmethod
     def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
@@ -83,24 +88,25 @@ class ThinPlateSpline(Lifting):
         """
         return self._solution[1] / self._scale
 
-    @np.errstate(over="ignore", invalid="ignore")
     def values(self, points: Floats, parameters: Floats) -> Floats:
         """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
-        weights = self._solution[0] @ parameters
-        values = np.empty((len(points), parameters.shape[1]))
-        for rows in blocks(len(points), len(weights)):
-            values[rows] = self._terms(points[rows]) @ weights
-        return values
+        return _core.spline_values(*self._sums(points, parameters))
 
-    @np.errstate(over="ignore", invalid="ignore")
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
         """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
+        slopes = _core.spline_slopes(*self._sums(points, parameters)) / self._scale
+        return np.asarray(slopes.reshape(len(points), parameters.shape[1], 2))
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _sums(self, points: Floats, parameters: Floats) -> tuple[Floats, Floats, Floats, int]:
+        """Return what the core sums: points, centres, the weights of their terms (l + 3, r), and threads."""
         weights = self._solution[0] @ parameters
-        slopes = np.empty((len(points), parameters.shape[1], 2))
-        for rows in blocks(len(points), len(weights)):
-            for b, terms in enumerate(self._term_slopes(points[rows])):
-                slopes[rows, :, b] = terms @ weights
-        return slopes
+        return (
+            self._normalised(points),
+            self._normalised(self.control_points),
+            weights,
+            check.threads(None),
+        )
 
     def _terms(self, points: Floats) -> Floats:
         """Return phi(|q - c_k|), x, y and 1 at n points, in normalised coordinates, (n, l + 3)."""
@@ -110,16 +116,6 @@ class ThinPlateSpline(Lifting):
         terms[:, -3:-1] = here
         terms[:, -1] = 1
         return terms
-
-    def _term_slopes(self, points: Floats) -> Floats:
-        """Return the derivatives of the terms along x and y, per unit of the points, (2, n, l + 3)."""
-        offsets = _offsets(self._normalised(points), self._normalised(self.control_points))
-        radial = 1 + np.log(np.maximum(offsets[0] ** 2 + offsets[1] ** 2, np.finfo(float).tiny))
-        terms = np.zeros((2, len(points), len(self.control_points) + 3))
-        for b in range(2):
-            terms[b, :, :-3] = radial * offsets[b]
-            terms[b, :, b - 3] = 1
-        return np.asarray(terms / self._scale)
 
     @cached_property
     def _centre(self) -> Floats:
@@ -159,11 +155,6 @@ def kernel(points: Floats, centres: Floats) -> Floats:
     >>> kernel(np.array([[0.0, 0.0]]), np.array([[0.0, 0.0], [0.0, 3.0]])).round(3) + 0.0
     array([[0.   , 9.888]])
     """
-    x, y = _offsets(points, centres)
+    x, y = (np.subtract.outer(points[:, b], centres[:, b]) for b in range(2))
     squared = x**2 + y**2
     return np.asarray(0.5 * squared * np.log(np.maximum(squared, np.finfo(float).tiny)))
-
-
-def _offsets(points: Floats, centres: Floats) -> tuple[Floats, Floats]:
-    x, y = (np.subtract.outer(points[:, b], centres[:, b]) for b in range(2))
-    return x, y

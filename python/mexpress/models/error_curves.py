@@ -184,13 +184,17 @@ def _neighbourhoods(points: Floats, domain: Region, number: int) -> Iterator[Gap
     """Hold out ever larger neighbourhoods of data that are spread as the data are."""
     n, order = len(points), Places(points).order
     centres = _spread(order, number)
-    corner = (points[:, None] == domain.corners).all(axis=2).any(axis=1)
+    corner = np.isin(_as_complex(points), _as_complex(domain.corners))
     most = max(1, math.floor(_LARGEST_SHARE * n))
-    distances = np.hypot(*(points[centres][:, None] - points).transpose(2, 0, 1))
-    nearest_one, farthest = np.median(np.partition(distances, (1, most), axis=1)[:, [1, most]], axis=0)
+
+    def distances(centre: int) -> Floats:
+        return np.asarray(np.hypot(*(points[centre] - points).T))
+
+    ends = [np.partition(distances(centre), (1, most))[[1, most]] for centre in centres]
+    nearest_one, farthest = np.median(ends, axis=0)
     radii = np.append(0, np.geomspace(max(nearest_one, 1e-9 * farthest), farthest, _RADII))
-    for centre, row in zip(centres.tolist(), distances, strict=True):
-        size = 0
+    for centre in centres.tolist():
+        row, size = distances(centre), 0
         for radius in radii:
             within = row <= (1 + EDGE) * radius
             if within.sum() > most:
@@ -211,6 +215,10 @@ def _spread(ordered: Integers, number: int) -> Integers:
     return ordered[
         np.unique(np.linspace(0, len(ordered) - 1, min(number, len(ordered))).round().astype(np.int64))
     ]
+
+
+def _as_complex(points: Floats) -> NDArray[np.complex128]:
+    return np.asarray(points[:, 0] + 1j * points[:, 1])
 
 
 def _outside(points: Floats, places: Floats) -> NDArray[np.bool_]:

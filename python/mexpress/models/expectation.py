@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -21,6 +21,23 @@ from mexpress.models.jackknife import Interval, jackknife_plus
 from mexpress.models.observations import Observations
 
 _CURVES = "error_curves"
+
+EXTRAPOLATE, _NAN = "extrapolate", "nan"
+"""What models return outside their domain."""
+
+
+def check_outside(outside: object) -> bool:
+    """Tell whether values outside the domain are not wanted.
+
+    Examples
+    --------
+    >>> check_outside("nan")
+    True
+    """
+    if not isinstance(outside, str) or outside not in {EXTRAPOLATE, _NAN}:
+        rule = f'It must be "{EXTRAPOLATE}" or "{_NAN}".'
+        check.refuse("outside", rule, check.describe(outside))
+    return outside == _NAN
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -214,6 +231,12 @@ class FittedModel(Model):
             curves = (ErrorCurve(*arrays[f"{name}_curve"]) for name in ("inside", "outside"))
             vars(model)[_CURVES] = ErrorCurves(*curves)
         return model
+
+    def _valued(self, points: Floats, function: Callable[[Floats], Floats], outside: str) -> Floats:
+        """Return a function's values at points, (k, 2): NaN where a position is not known, or outside if wanted."""
+        if check_outside(outside):
+            points = np.where(self._inside(points)[:, None], points, np.nan)
+        return row_by_row(points, function)
 
     def _inside(self, points: Floats) -> NDArray[np.bool_]:
         return inside(self.domain, *points.T)

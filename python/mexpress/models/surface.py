@@ -14,7 +14,7 @@ from mexpress.geometry import EDGE, Region, area, inside
 from mexpress.io import meshes
 from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.design import CardinalBasis, Design, linear_design
-from mexpress.models.expectation import FittedModel
+from mexpress.models.expectation import EXTRAPOLATE, FittedModel
 from mexpress.models.observations import Observations
 
 _SAMPLES = 10_000
@@ -151,13 +151,15 @@ class Surface(FittedModel):
         what = "depth" if self._dimension == 1 else f"{self._dimension} values"
         return f"Surface({what}, {self._description()})"
 
-    def __call__(self, points: ArrayLike) -> Floats:
+    def __call__(self, points: ArrayLike, *, outside: str = EXTRAPOLATE) -> Floats:
         """Return the surface's values.
 
         Parameters
         ----------
         points : array_like, (k, 2)
             Positions, in the unit of the control points.
+        outside : {"extrapolate", "nan"}
+            What to return outside the domain, the convex hull of the data.
 
         Returns
         -------
@@ -170,11 +172,12 @@ class Surface(FittedModel):
         >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
         >>> mx.fit_surface(square, [0, 2, 2, 5], square)([[2, 2], [1, 1]]).round(6)
         array([5.  , 2.25])
+        >>> mx.fit_surface(square, [0, 2, 2, 5], square)([[2, 2], [9, 9]], outside="nan").round(6)
+        array([ 5., nan])
         """
         centre, about = self._centred
-        values = row_by_row(
-            check.queries(points, "points"), lambda known: centre + self.lifting.values(known, about)
-        )
+        queries = check.queries(points, "points")
+        values = self._valued(queries, lambda known: centre + self.lifting.values(known, about), outside)
         return values.reshape(len(values), *self.parameters.shape[1:])
 
     def derivatives(self, points: ArrayLike) -> Floats:

@@ -1,7 +1,7 @@
 """Image warps: linear in a lifting, or fractional (deformable perspective)."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,14 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
-from mexpress.geometry import Region, diagonal, lattice, nearest
+from mexpress.geometry import Region, diagonal, inside, lattice, nearest
 from mexpress.models.base import nearest_constant, row_by_row
+from mexpress.models.dense import dense
 from mexpress.models.design import CardinalBasis, Design, fractional_design, linear_design
-from mexpress.models.expectation import FittedModel
+from mexpress.models.expectation import EXTRAPOLATE, FittedModel, check_outside
 from mexpress.models.observations import Observations
+from mexpress.resampling import check_fill, check_image, check_size, resampled
 
 _SAMPLES = 1000
 """Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
+
+_HORIZON = 1e-3
+"""A denominator below this fraction of its median over the domain is near zero."""
 
 _TOLERANCE, _ROUNDING = 1e-11, 16
 """What `inverse` accepts: a fraction of the size of the domain's image, but so many units in the last place."""
@@ -54,8 +59,9 @@ class Warp(FittedModel):
 
     Notes
     -----
+    `warp.remap(target_image, (width, height), inverse=True)`,
     `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
-    `skimage.transform.warp(target_image, warp, output_shape=(height, width))` both resample the target image in the
+    `skimage.transform.warp(target_image, warp, output_shape=(height, width))` all resample the target image in the
     frame of the source image: they read the target image at the image of every source pixel.
 
     Examples
@@ -99,19 +105,21 @@ class Warp(FittedModel):
         """
         return bool(self.parameters.shape[1] == 3)
 
-    def __call__(self, points: ArrayLike) -> Floats:
+    def __call__(self, points: ArrayLike, *, outside: str = EXTRAPOLATE) -> Floats:
         """Map points of the source image to the target image.
 
         Parameters
         ----------
         points : array_like, (k, 2)
             Positions in pixels of the source image, x then y.
+        outside : {"extrapolate", "nan"}
+            What to return outside the domain, the convex hull of the matches.
 
         Returns
         -------
         ndarray, (k, 2)
-            Positions in pixels of the target image; infinite or NaN where the denominator is exactly zero, NaN where a
-            position is not known: NaN, infinite or beyond 1e100.
+            Positions in pixels of the target image; NaN where the warp vanishes, and where a position is not known:
+            NaN, infinite or beyond 1e100.
 
         Examples
         --------
@@ -120,8 +128,11 @@ class Warp(FittedModel):
         >>> warp = mx.fit_warp(square, [[0, 0], [200, 0], [0, 100], [200, 100]], square[:3], fractional=False)
         >>> warp([[50, 50]]).round(6)
         array([[100.,  50.]])
+        >>> warp([[50, 50], [500, 50]], outside="nan").round(6)
+        array([[100.,  50.],
+               [ nan,  nan]])
         """
-        return row_by_row(check.queries(points, "points"), self._map)
+        return self._valued(check.queries(points, "points"), self._image, outside)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Return the derivatives of the target position by the source position.
@@ -171,7 +182,7 @@ class Warp(FittedModel):
         """
         return row_by_row(check.queries(points, "points"), self._denominator)
 
-    def vanishes(self, points: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
+    def vanishes(self, points: ArrayLike, tolerance: float = _HORIZON) -> NDArray[np.bool_]:
         """Find where the warp maps points to infinity or beyond, so that its values are meaningless.
 
         Parameters
@@ -196,8 +207,7 @@ class Warp(FittedModel):
         array([False,  True])
         """
         tolerance = check.positive(tolerance, "tolerance")
-        usual = np.median(self._denominator(self._samples))
-        return np.asarray(~(self.denominator(points) * np.sign(usual) > tolerance * np.abs(usual)))
+        return self._is_beyond(self.denominator(points), tolerance)
 
     def folds(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Find where the warp folds: where the sign of the Jacobian's determinant is not that of most of the domain.
@@ -285,19 +295,32 @@ class Warp(FittedModel):
         )
         return sources
 
-    def dense_map(self, width: int, height: int) -> NDArray[np.float32]:
+    def dense_map(
+        self, width: int, height: int, tolerance: float = 0.05, *, outside: str = EXTRAPOLATE
+    ) -> NDArray[np.floating]:
         """Return the target position of every pixel of the source image, for `cv2.remap`.
 
         Parameters
         ----------
         width, height : int
             Size of the source image in pixels.
+        tolerance : float
+            Largest error in pixels of the source image, whose images have a side of sqrt(abs(det J)) in the median over
+            the domain, with the Jacobian J. With 0, every pixel is mapped by itself.
+        outside : {"extrapolate", "nan"}
+            What to return outside the domain.
 
         Returns
         -------
-        ndarray of float32, (2, height, width)
-            Target x, then target y: `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)`.
-            Where the warp vanishes, the values are meaningless.
+        ndarray, (2, height, width)
+            Target x, then target y: `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)`. NaN
+            where the warp vanishes; `cv2.remap` puts its border value there. The type is float32, or float64 if the
+            image of the domain is so far from zero that float32 has steps of more than a tenth of a pixel.
+
+        Notes
+        -----
+        Positions are interpolated bicubically in blocks of up to 128 x 128 pixels, from exact values. The interpolation
+        is compared with others, and blocks are cut until they agree.
 
         Examples
         --------
@@ -308,18 +331,120 @@ class Warp(FittedModel):
         array([[7., 8., 9.],
                [7., 8., 9.]], dtype=float32)
         """
+        known = check_outside(outside)
         width, height = check.count(width, "width", 1), check.count(height, "height", 1)
-        positions = np.empty((2, height, width), dtype=np.float32)
-        x = np.arange(width, dtype=np.float64)
-        for y in range(height):
-            row = self._map(np.column_stack([x, np.full(width, float(y))]))
-            with np.errstate(over="ignore"):
-                positions[:, y] = row.T
+        share = check.number(tolerance, "tolerance", "It must be a number of at least 0.", 0.0)
+        dtype = _sufficient(self._map(self._samples), self._pixel)
+        positions = dense(self._image, width, height, share * self._pixel, self.control_points, dtype)
+        if known:
+            x, y = np.arange(float(width)), np.arange(float(height))[:, None]
+            positions[:, ~inside(self.domain, x, y)] = np.nan
         return positions
+
+    def inverse_map(
+        self, width: int, height: int, tolerance: float = 0.05, *, outside: str = EXTRAPOLATE
+    ) -> NDArray[np.floating]:
+        """Return the source position of every pixel of the target image, for `cv2.remap`.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the target image in pixels.
+        tolerance : float
+            Largest distance from what `inverse` returns, in pixels of the target image, see `dense_map`.
+        outside : {"extrapolate", "nan"}
+            What to return for source positions outside the domain.
+
+        Returns
+        -------
+        ndarray, (2, height, width)
+            Source x, then source y: `cv2.remap(source_image, *warp.inverse_map(width, height), cv2.INTER_LINEAR)`. NaN
+            where nothing is mapped to. The type is as for `dense_map`.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> shift = mx.fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
+        >>> shift.inverse_map(3, 2).round(3)[0]
+        array([[-7., -6., -5.],
+               [-7., -6., -5.]], dtype=float32)
+        """
+        known = check_outside(outside)
+        width, height = check.count(width, "width", 1), check.count(height, "height", 1)
+        share = check.number(tolerance, "tolerance", "It must be a number of at least 0.", 0.0)
+        if not self._pixel > 0:  # nothing has an inverse
+            return np.full((2, height, width), np.nan, dtype=np.float32)
+        details = self._image(self.control_points)
+        dtype = _sufficient(self.domain, 1 / self._pixel)
+        positions = dense(self.inverse, width, height, share / self._pixel, details, dtype)
+        if known:
+            for row in positions.swapaxes(0, 1):
+                row[:, ~inside(self.domain, *row)] = np.nan
+        return positions
+
+    def remap(
+        self,
+        image: ArrayLike,
+        size: tuple[int, int] | None = None,
+        *,
+        inverse: bool = False,
+        fill: ArrayLike = 0,
+        tolerance: float = 0.05,
+        outside: str = EXTRAPOLATE,
+    ) -> NDArray[Any]:
+        """Move an image as the warp moves points: a source image into the frame of the target image.
+
+        Parameters
+        ----------
+        image : array_like, (h, w) or (h, w, c)
+            The source image, of any type of real numbers; the target image if `inverse`.
+        size : tuple of int, optional
+            Width and height of the result; by default those of the image.
+        inverse : bool
+            Whether to move the target image into the frame of the source image instead.
+        fill : float or array_like, (c,)
+            Value of pixels that come from nowhere in the image, of its type.
+        tolerance, outside
+            As for `inverse_map`, or `dense_map` if `inverse`. What is outside is filled.
+
+        Returns
+        -------
+        ndarray, (height, width) or (height, width, c)
+            The image in its other frame, of the same type; bilinear between the centres of its pixels.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> shift = mx.fit_warp(square, [[1, 0], [101, 0], [1, 100], [101, 100]], square[:3], fractional=False)
+        >>> shift.remap([[1, 2, 3], [4, 5, 6]])
+        array([[0, 1, 2],
+               [0, 4, 5]])
+        >>> shift.remap([[1, 2, 3], [4, 5, 6]], inverse=True, fill=9)
+        array([[2, 3, 9],
+               [5, 6, 9]])
+        """
+        pixels = check_image(image, "image")
+        width, height = pixels.shape[1::-1] if size is None else check_size(size, "size")
+        positions_of = self.dense_map if check.flag(inverse, "inverse") else self.inverse_map
+        value = check_fill(fill, pixels)
+        return resampled(pixels, positions_of(width, height, tolerance, outside=outside), value)
 
     @cached_property
     def _samples(self) -> Floats:
         return lattice(self.domain, _SAMPLES)
+
+    @cached_property
+    def _usual(self) -> float:
+        """The denominator's median over the domain."""
+        return float(np.median(self._denominator(self._samples)))
+
+    @cached_property
+    def _pixel(self) -> float:
+        """Side of the image of a square of side 1, in the median over the domain; 0 if all of it vanishes."""
+        usable = self._samples[~self.vanishes(self._samples)]
+        return float(np.sqrt(np.median(np.abs(_determinant(self._jacobian(usable)))))) if len(usable) else 0.0
 
     def _design(self, data: Observations) -> Design[Self]:
         given = CardinalBasis(self.lifting), data.points, data.values, Region(self.domain), type(self)
@@ -348,6 +473,19 @@ class Warp(FittedModel):
 
     def _map(self, points: Floats) -> Floats:
         return np.asarray(self._centred[0] + self._map_about(points))
+
+    def _image(self, points: Floats) -> Floats:
+        """Return target positions; NaN where the warp vanishes."""
+        values = self.lifting.values(points, self._centred[1])
+        if not self.fractional:
+            return np.asarray(self._centred[0] + values)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            images = self._centred[0] + values[:, :2] / values[:, 2:]
+        images[self._is_beyond(values[:, 2], _HORIZON)] = np.nan
+        return np.asarray(images)
+
+    def _is_beyond(self, denominators: Floats, tolerance: float) -> NDArray[np.bool_]:
+        return np.asarray(~(denominators * np.sign(self._usual) > tolerance * np.abs(self._usual)))  # NaN is
 
     def _map_about(self, points: Floats) -> Floats:
         """Return positions relative to the centre of the target image."""
@@ -394,3 +532,11 @@ def _norm(vectors: Floats) -> Floats:
 
 def _ulp(points: Floats) -> Floats:
     return np.asarray(np.spacing(np.abs(points).max(axis=1)))
+
+
+def _sufficient(positions: Floats, pixel: float) -> type[np.floating]:
+    """Return float32, if it tells positions a tenth of a pixel apart."""
+    known = np.abs(positions[np.isfinite(positions)])
+    with np.errstate(over="ignore"):
+        coarse = np.spacing(np.float32(known.max(initial=0))) > 0.1 * pixel > 0
+    return np.float64 if coarse else np.float32

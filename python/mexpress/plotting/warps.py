@@ -79,7 +79,8 @@ def plot_warp(
     left.set_title("source image", loc="left")
     figure.legend(loc="outside lower left", ncols=4, frameon=False)
     factor = _draw_errors(right, predicted, target)
-    rms = float(np.sqrt(((target - predicted) ** 2).sum(axis=1).mean()))
+    squared = ((target - predicted) ** 2).sum(axis=1)
+    rms = float(np.sqrt(np.where(np.isnan(squared), np.inf, squared).mean()))  # NaN is beyond the horizon
     right.set_title("target image, with the warped grid", loc="left")
     size = "in their true length" if factor == 1 else f"{factor:g} times as long"
     right.set_xlabel(f"arrows: errors at the matches, {size}; RMS {rms:.3g} pixels")
@@ -140,9 +141,7 @@ def plot_registration(
     first, step = rasters.reduced(rasters.as_image(source_image, "source_image"))
     second, target_step = rasters.reduced(rasters.as_image(target_image, "target_image"))
     positions = rasters.pixel_centres(first, step)
-    with np.errstate(invalid="ignore"):
-        mapped = warp(positions)
-    mapped[warp.vanishes(positions)] = np.nan
+    mapped = warp(positions)
     pulled = rasters.sampled(second, (mapped - (target_step - 1) / 2) / target_step).reshape(
         first.shape[:2] + second.shape[2:]
     )

@@ -174,8 +174,12 @@ class Candidates(Generic[ModelT]):
         nested = ordered is not None and len(tried) > _FEW
         name, scorer = request.scorer(nested=True) if nested else request.listed
         liftings = [] if nested else self._liftings(request, tried, ordered)
-        rounds = steps(n) if nested else len(liftings)
-        with bar(rounds * len(weights), label) if label else nullcontext(lambda: None) as on_step:
+        costs = (
+            [1.0] * (steps(n) * len(weights))
+            if nested
+            else [_cost(n, lifting) for lifting in liftings for _ in weights]
+        )
+        with bar(costs, label) if label else nullcontext(lambda: None) as on_step:
             if ordered is not None and nested:
                 design = self.design(NestedBasis(ordered))
                 sweep = sweep_nested(design, np.array(tried), weights, scorer, request.threads, on_step)
@@ -208,6 +212,11 @@ class Candidates(Generic[ModelT]):
         )
         given = f"{len(data.points)} points whose spread across a line is {thin:.1g} of that along it"
         check.refuse("source" if isinstance(data, Matches) else "points", rule, given)
+
+
+def _cost(n: int, lifting: Lifting) -> float:
+    """Return about how many multiply-adds a weight of a design takes: any takes some; then fit and held-out sets."""
+    return 1e7 + n * len(lifting.control_points) ** 2 * (10 + n / 20)
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:

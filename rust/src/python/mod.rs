@@ -3,6 +3,7 @@
 //! Checks that deserve a sentence are made in Python; what is checked here keeps memory safe, no more.
 
 mod arrays;
+mod evaluate;
 mod factor;
 mod interrupt;
 mod near;
@@ -17,6 +18,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::arrays::find_not_finite;
+    #[pymodule_export]
+    use super::evaluate::{spline_slopes, spline_values};
     #[pymodule_export]
     use super::factor::Factor;
     #[pymodule_export]

@@ -1,0 +1,3 @@
+//! Models at many points: what images ask for.
+
+pub mod spline;
