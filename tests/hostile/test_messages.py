@@ -109,7 +109,7 @@ CASES = {
     "three matches with a weight": (
         warp(weights=np.arange(60) < 3),
         "source",
-        "four matches of weight above 0",
+        "not counting those that are dropped or of weight 0",
         "Given 3",
     ),
     "four matches": (
@@ -368,7 +368,7 @@ COMMANDS = {
     "three matches": (["warp", "three.csv", *RUN], "Invalid source in three.csv.", "four matches at least"),
     "four matches": (["warp", "four.csv", *FIT], "in four.csv.", "or --smoothing auto, or --no-fractional."),
     "a line": (["warp", "line.csv", *RUN], "Invalid source in line.csv.", "60 points on a line"),
-    "columns": (["warp", "p.csv", *RUN], "Invalid matches.", "of p.csv"),
+    "columns": (["warp", "p.csv", *RUN], "Invalid matches.", "in p.csv"),
     "a wide radius": (["warp", "m.csv", *FIT, "--criterion", "ER60"], "Invalid --criterion.", "such as ER10"),
     "normalised": (["warp", "unit.csv", *FIT, "--image-size", "640x480"], "Invalid --image-size.", "in pixels"),
     "queries": (["warp", "m.csv", *RUN, "--queries", "image"], "Invalid --image-size.", "with --queries image"),

@@ -195,7 +195,7 @@ def select_warp(
     """
     matches = Matches.of(source, target, image_size, weights, missing)
     n = len(present(matches))
-    wished = checked_counts(counts, n, "matches")
+    wished = checked_counts(counts, len(matches.source), "matches")
     for name, flag in (("fractional", fractional), ("robust", robust), ("progress", progress)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
@@ -236,8 +236,8 @@ class WarpQuestion:
         """Select a warp for matches."""
         n = len(matches.source)
         if self.counts is None and n < 4:
-            above = "" if matches.weights is None else " of weight above 0"
-            check.refuse("source", f"There must be four matches{above} at least.", f"{n}")
+            rule = "There must be four matches at least, not counting those that are dropped or of weight 0."
+            check.refuse("source", rule, f"{n}")
         queries = None if self.queries is None else Queries.of(self.queries, matches, self.seed)
         request = CriteriaRequest(self.criterion, criteria, matches, self.seed, self.threads, queries)
         plain = self._plain(matches) if self._automatic else {}
