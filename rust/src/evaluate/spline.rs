@@ -78,15 +78,15 @@ impl Splines<'_> {
         let (along, rest) = affine.split_at(self.columns);
         let (up, constant) = rest.split_at(self.columns);
         for (c, sum) in sums.iter_mut().enumerate() {
-            for i in 0..TILE {
-                sum[i] = tile.x[i] * along[c] + tile.y[i] * up[c] + constant[c];
+            for (i, sum) in sum.iter_mut().enumerate() {
+                *sum = tile.x[i] * along[c] + tile.y[i] * up[c] + constant[c];
             }
         }
         let mut phi = [0.0; TILE];
         for (centre, weights) in self.centres.as_chunks().0.iter().zip(kernels.chunks_exact(self.columns)) {
-            for i in 0..TILE {
+            for (i, phi) in phi.iter_mut().enumerate() {
                 let squared = tile.squared_distance(i, centre);
-                phi[i] = 0.5 * squared * ln(squared.max(f64::MIN_POSITIVE));
+                *phi = 0.5 * squared * ln(squared.max(f64::MIN_POSITIVE));
             }
             for (sum, weight) in sums.iter_mut().zip(weights) {
                 for i in 0..TILE {
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(values[0], 1.0);
         assert!(values[1].is_nan());
         assert_eq!(splines.slopes(&points[..2], &pool).unwrap(), [0.0, 0.0]);
-        assert_eq!(splines.values(&[], &pool).unwrap(), []);
+        assert!(splines.values(&[], &pool).unwrap().is_empty());
         assert!(Splines { columns: 2, ..splines }.values(&points, &pool).is_err());
     }
 }
