@@ -91,7 +91,7 @@ def test_hand_marked_points_transfer_as_well_as_by_a_homography(name, method):
     ("file", "scale", "n_valid"),
     [
         ("depth/TUM_depth.png", 5000, 248250),
-        ("depth/depth_00000.png", None, 267129),
+        ("depth/depth_00000.png", 1000, 267129),
         ("sheets/bent_paper_239.npz", None, 239),
     ],
 )
