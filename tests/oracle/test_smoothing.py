@@ -359,7 +359,7 @@ def two_corners():
 def test_empty_cells_are_open_without_smoothing_and_said_to_be_with_it(fractional):
     source, target = two_corners()
     options = {"lifting": "bspline", "fractional": fractional, "counts": [49], "criteria": ["FIT", "AIC"]}
-    with pytest.raises(ValueError, match='determine a warp of 49 control points.* smoothing="auto"'):
+    with pytest.raises(ValueError, match=r'determine a warp of 49 control points.* smoothing="auto"'):
         mx.select_warp(source, target, "CMPRESS", smoothing=0, **options)
     found = mx.select_warp(source, target, "CMPRESS", smoothing=[0.0, 10.0], **options)
     functions = lifting_named("bspline")
