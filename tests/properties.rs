@@ -347,7 +347,7 @@ proptest! {
 #[test]
 fn pairs_near_rank_loss_are_refits_too() {
     let ways =
-        [(1.0, Status::Closed), (1e-4, Status::Refined), (1e-7, Status::Refitted), (0.0, Status::Undefined)];
+        [(1.0, Status::Closed), (4e-4, Status::Refined), (1e-7, Status::Refitted), (0.0, Status::Undefined)];
     for (fraction, status) in ways {
         let second = |i: usize| [1.0, -2.0].get(i.wrapping_sub(18)).copied().unwrap_or(fraction * entry(i));
         let case = Case {

@@ -14,6 +14,9 @@ from mexpress.caching import cached_property
 NEAR_LINE = 1e-6
 """Points are on a line if their spread across it is below this fraction of the spread along it."""
 
+_SMALLEST_EXTENT = 1e-150
+"""Areas of smaller regions are no numbers."""
+
 EDGE = 1e-9
 """A point outside a region by less than this fraction of its extent counts as inside, because of rounding."""
 
@@ -67,6 +70,19 @@ def thinness(points: Floats) -> float:
         return 0.0
     along, across = np.linalg.svd(centred / size, compute_uv=False)
     return float(across / along)
+
+
+def lengths_of(vectors: Floats) -> Floats:
+    """Return the lengths of vectors, (..., d) to (...), whose squares may be no numbers.
+
+    Examples
+    --------
+    >>> lengths_of(np.array([[3e300, -4e300], [3e-300, 4e-300]]))
+    array([5.e+300, 5.e-300])
+    """
+    return (
+        np.abs(vectors[..., 0]) if vectors.shape[-1] == 1 else np.asarray(np.hypot.reduce(vectors, axis=-1))
+    )
 
 
 def about_mean(points: Floats) -> Floats:
@@ -146,6 +162,10 @@ def covered_region(points: ArrayLike, name: str = "points") -> Floats:
 
 def hull(points: Floats, name: str) -> Floats:
     """`covered_region` of checked points."""
+    extent = np.ptp(points, axis=0).max()
+    if 0 < extent < _SMALLEST_EXTENT:
+        rule = f"They must extend over {_SMALLEST_EXTENT:g} at least: take another unit."
+        check.refuse(name, rule, f"{len(points)} points that extend over {extent:.2g}")
     corners = _convex_hull(points)
     if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
         rule = "They must cover a region: three distinct points or more, not on a line."

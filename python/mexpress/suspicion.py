@@ -132,7 +132,7 @@ class Suspects:
 def studentised_lengths(
     model: LeastSquares, scheme: Scheme, weights: Floats, threads: int | None = None
 ) -> tuple[Floats, Integers]:
-    """Squared prediction residuals of every datum, relative to their covariance under noise of variance one.
+    """Lengths of the prediction residuals of every datum, relative to their covariance under noise of variance one.
 
     Parameters
     ----------

@@ -372,7 +372,7 @@ def surface(values=VALUES, points=POINTS, **options):
 
 
 @pytest.mark.parametrize("options", [{"smoothing": 0}, {}, {"robust": True}], ids=["plain", "auto", "robust"])
-@pytest.mark.parametrize("size", [1e-300, 1e-150, 1e150, 1e300])
+@pytest.mark.parametrize("size", [1e-150, 1e150])
 def test_the_size_of_values_does_not_change_their_score(size, options):
     assert surface(size * VALUES, **options).score / size == pytest.approx(surface(**options).score, rel=1e-9)
 

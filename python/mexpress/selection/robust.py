@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
+from mexpress.geometry import lengths_of
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models.expectation import FittedModel
 from mexpress.schemes import Places
@@ -220,7 +221,7 @@ class Surroundings:
         """Return the second smallest of the differences of each datum from its six nearest, less the slope there."""
         near = self.nearest[:, :_COMPANIONS]
         rises = values[near] - values[:, None] - (self.points[near] - self.points[:, None]) @ slopes
-        return np.asarray(np.sort(np.linalg.norm(rises, axis=2), axis=1)[:, 1])
+        return np.asarray(np.sort(lengths_of(rises), axis=1)[:, 1])
 
 
 def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]:
@@ -241,7 +242,7 @@ def agreeing(data: Data, around: Surroundings, seed: int) -> tuple[Mask, Floats]
     array([ 4, 60])
     """
     values = data.values.reshape(len(data.points), -1)
-    distances = np.linalg.norm(values - np.median(values, axis=0), axis=1)
+    distances = lengths_of(values - np.median(values, axis=0))
     alone = isinstance(data, Matches) | (distances > _SCENE * np.median(distances))
     near = ~around.far
     alone |= around.far
@@ -319,14 +320,14 @@ def _plane_errors(
     levels[0] = ordered[np.arange(n), np.maximum(valid.sum(axis=1) - 1, 0) // 2]  # for neighbours on a line
     for triple in (random.choice(k, 3, replace=False) for _ in range(_TRIPLES)):
         plane, spans = _planes(offsets[:, triple], rises[:, triple], np.all(valid[:, triple], axis=1))
-        misses = np.linalg.norm(rises - plane[:, 0, None] - offsets @ plane[:, 1:], axis=2)
+        misses = lengths_of(rises - plane[:, 0, None] - offsets @ plane[:, 1:])
         for s, side in enumerate(sides):
             middle = _median_of(misses, side)
             better = spans & (middle < best[s])
             best[s, better], levels[s, better] = middle[better], plane[better, 0]
             if s == 0:
                 slopes[better] = plane[better, 1:]
-    return np.linalg.norm(levels, axis=2).min(axis=0), slopes / size
+    return np.asarray(lengths_of(levels).min(axis=0)), slopes / size
 
 
 def _planes(corners: Floats, rises: Floats, usable: Mask) -> tuple[Floats, Mask]:
@@ -370,10 +371,10 @@ def _scores(
     if not kept.all():
         away = (selection._model(data.points[~kept]) - data.values[~kept]).reshape(n - len(some), -1)
         # NaN is beyond the horizon of a warp.
-        errors[~kept] = np.nan_to_num(np.hypot.reduce(away, axis=1) / np.sqrt(away.shape[1]), nan=np.inf)
+        errors[~kept] = np.nan_to_num(lengths_of(away) / np.sqrt(away.shape[1]), nan=np.inf)
     known = kept & np.isfinite(errors)
     per_row = int(freedom[0])
-    noise = float(np.median(errors[known])) / _noise(0.5, per_row)
+    noise = float(np.median(errors[known])) / _noise(0.5, per_row) if known.any() else 0.0
     sigma = max(noise, ROUNDING * deviation(data.values[some]))
     nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / _noise(_QUARTILE, per_row)
     scale = np.where(kept, np.maximum(nearby, sigma), sigma) if sigma else 1.0
@@ -392,7 +393,7 @@ def _against_expectation(
     if not len(doubted):
         return scores
     points, values = data.points[doubted], data.values[doubted]
-    away = np.linalg.norm((selection._model(points) - values).reshape(len(doubted), -1), axis=1)
+    away = lengths_of((selection._model(points) - values).reshape(len(doubted), -1))
     lenient = scores.copy()
     # At an expectation of zero, of a model without noise, nothing is more lenient.
     with np.errstate(divide="ignore", invalid="ignore"):
