@@ -58,7 +58,8 @@ def read_matches(
         * `.parquet`, with the extra ``parquet``.
         * A frame of pandas or polars.
         * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
-          y that is negative below their upper edge; its sign is changed, so that the source has y downwards.
+          y that is negative below their upper edge; its sign is changed, so that the source has y downwards. Images
+          with coordinates need `columns`.
 
         A header finds the columns in any order and among others, by these names or by those such as src_x, sourceX,
         x_left, u0, moving_x. Columns of no known name must be four.
@@ -138,14 +139,15 @@ def read_weighted_matches(
     """
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
-    marked = landmarks(table) if columns is None else None
-    if marked:
+    marked = landmarks(table)
+    if marked and columns is None:
         shares = find(table, weight)
         chosen = marked.columns if shares is None else [*marked.columns, shares]
         numbers, known = complete(table, chosen, told, marked.off)
-        numbers[:, :4] *= marked.signs
+        numbers = marked.in_image(numbers, table)
     else:
-        numbers, known = complete(table, choose(table, [MATCHES], columns, weight).all, told)
+        chosen = choose(table, [MATCHES], columns, weight).all
+        numbers, known = complete(table, chosen, told, marked.off if marked else None)
     weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
     named_weights(weights, column, table.where)
     return WeightedMatches(numbers[:, :2].copy(), numbers[:, 2:4].copy(), weights, known)
