@@ -38,6 +38,10 @@ def file(tmp_path):
         "img0_x,img0_y,img1_x,img1_y",
         "col1,row1,col2,row2",
         "xa,ya,xb,yb",
+        "lon1,lat1,lon2,lat2",
+        "c1,r1,c2,r2",
+        "before_x,before_y,after_x,after_y",
+        "xmin,ymin,xmax,ymax",
         "moving x,moving y,fixed x,fixed y",
         "x,y,x',y'",
         "甲,乙,丙,丁",
@@ -65,16 +69,50 @@ def test_matches_behind_a_column_that_is_none(file, header):
 
 
 @pytest.mark.parametrize("order", [[2, 3, 0, 1], [1, 0, 3, 2]])
-def test_the_names_decide_and_not_the_order(file, order):
-    names = np.array(["source_x", "source_y", "target_x", "target_y"])[order]
+@pytest.mark.parametrize(
+    "names",
+    [
+        "source_x,source_y,target_x,target_y",
+        "lon1,lat1,lon2,lat2",
+        "c1,r1,c2,r2",
+        "sample_left,line_left,sample_right,line_right",
+        "before_x,before_y,after_x,after_y",
+    ],
+)
+def test_the_names_decide_and_not_the_order(file, names, order):
+    names = np.array(names.split(","))[order]
     path = file(text(ROWS[:, order], ",".join(names)))
     np.testing.assert_array_equal(np.hstack(read_matches(path)), ROWS)
+
+
+@pytest.mark.parametrize(
+    ("read", "header", "says"),
+    [
+        (read_matches, "i1,j1,i2,j2", "x1 may be i1 or j1"),
+        (read_matches, "j,i,q,p", "x1 may be j or i"),
+        (read_matches, "ymin,xmin,ymax,xmax", "x1 may be ymin or xmin"),
+        (read_matches, "q after,p after,q before,p before", "x1 may be q after or q before"),
+        (read_points, "i,j", "x may be i or j"),
+        (read_points, "j,i", "x may be j or i"),
+        (read_points, "ymin,xmin", "x may be ymin or xmin"),
+        (read_points, "name,grid_row,grid_col", "x may be grid_row or grid_col"),
+        (read_cloud, "i,j,depth", "x may be i or j"),
+    ],
+)
+def test_names_that_contradict_the_order_are_refused_with_both_readings(file, read, header, says):
+    width = header.count(",") + 1
+    path = file(text(np.ones((5, width)), header))
+    with pytest.raises(ValueError, match=rf"columns=.*Given \d columns \(.*\), where {says}, in t\.csv"):
+        read(path)
 
 
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
         ("x,y", [0, 1]),
+        ("r,c", [1, 0]),
+        ("line,sample", [1, 0]),
+        ("b,c", [0, 1]),
         ("lon,lat", [0, 1]),
         ("lat,lon", [1, 0]),
         ("row,col", [1, 0]),
@@ -105,6 +143,7 @@ def test_matches_are_no_points_until_it_is_clear_of_which_image(file):
         ("u,v,x,y,z,w", [0, 1, 2, 3, 4]),
         ("U V X Y Z", [0, 1, 2, 3, 4]),
         ("lat,lon,elevation", [1, 0, 2]),
+        ("elev,northing,easting", [2, 1, 0]),
         ("id,col,row,depth", [1, 2, 3]),
         ("easting,northing,height,depth", None),
     ],

@@ -30,8 +30,12 @@ _AXES = (
     ("lng", "lat"),
     ("column", "row"),
     ("col", "row"),
+    ("c", "r"),
+    ("sample", "line"),
 )
-_HEIGHTS = ("z", "depth", "height", "elevation", "altitude", "value")
+_EITHER = (("i", "j"), ("j", "i"))
+"""Axes of which some take the first for x, and some for y."""
+_HEIGHTS = ("z", "depth", "height", "elevation", "elev", "altitude", "value")
 _SIDES = (
     *(
         (f"{what}{a}", f"{what}{b}")
@@ -48,6 +52,9 @@ _SIDES = (
     ("from", "to"),
     ("left", "right"),
     ("query", "train"),
+    ("before", "after"),
+    ("old", "new"),
+    ("pre", "post"),
 )
 _NO_COORDINATES = {
     *("id", "index", "idx", "no", "nr", "number", "point", "pointid", "name", "label", "time", "timestamp"),
@@ -72,7 +79,7 @@ MATCHES = Layout(
     [
         names
         for sides in _SIDES
-        for axes in (("x", "y"), ("u", "v"), ("col", "row"))
+        for axes in _AXES
         for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
     ],
 )
@@ -188,7 +195,10 @@ def choose(
             return Choice(layout, free[:n], weights)
     names = f" ({', '.join(table.names[k] or 'unnamed' for k in free)})" if table.names else ""
     text = next((f", besides {table.place(0, k)}" for k in range(table.width) if k not in table.numeric), "")
-    given = f"{len(free)} columns{names}{_readings(layouts, len(free))} in {table.where}{text}"
+    headed = [table.names[k] for k in free] if table.names else []
+    might = next(filter(None, (_unclear(headed[: len(one.columns)], one) for one in layouts)), "")
+    might = might or _readings(layouts, len(free))
+    given = f"{len(free)} columns{names}{might} in {table.where}{text}"
     check.refuse(table.name, _rule(layouts) + more, given)
 
 
@@ -208,11 +218,44 @@ def _named(table: Table, layout: Layout) -> list[int] | None:
 
 
 def _contradicts(table: Table, columns: Sequence[int], layout: Layout) -> bool:
-    """Whether a header says that its columns are not these, in this order."""
+    """Whether a header says, or may say, that its columns are not these, in this order."""
+    names = [table.names[column] for column in columns]
+    if _unclear(names, layout):
+        return True
     known = [{spelling[k] for spelling in layout.spellings} for k in range(len(columns))]
-    others = _NO_COORDINATES.union(*known)
-    names = (plain(table.names[column]) for column in columns)
-    return any(name in others - here for name, here in zip(names, known, strict=True))
+    others = _NO_COORDINATES.union(*known) - {"c", "r"}  # which alone may be anything
+    return any(plain(name) in others - here for name, here in zip(names, known, strict=True))
+
+
+def _unclear(names: Sequence[str], layout: Layout) -> str:
+    """Say which column may be meant instead of the first, or of one with it, if names contradict the order."""
+    plain_names = [plain(name) for name in names]
+    pairs = [(k, k + 1, (*_AXES, *_EITHER)) for k in range(0, len(names) - 1, 2)]
+    if layout is MATCHES:
+        pairs += [(k, k + 2, _SIDES) for k in range(len(names) - 2)]
+    return next(
+        (
+            f", where {layout.columns[k]} may be {names[k]} or {names[other]},"
+            for k, other, words in pairs
+            if _is_swapped(plain_names[k], plain_names[other], words)
+        ),
+        "",
+    )
+
+
+def _is_swapped(name: str, other: str, pairs: Sequence[tuple[str, str]]) -> bool:
+    """Whether a name differs from another in nothing but that it has the second word of a pair for the first.
+
+    Examples
+    --------
+    >>> _is_swapped("ymin", "xmin", [("x", "y")]), _is_swapped("xmin", "ymin", [("x", "y")])
+    (True, False)
+    """
+    return any(
+        name[: at.start()] + first + name[at.end() :] == other
+        for first, second in pairs
+        for at in re.finditer(second, name)
+    )
 
 
 def _is_index(names: Sequence[str]) -> bool:
