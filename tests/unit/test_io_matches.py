@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mexpress import fit_warp
+from mexpress.io.clouds import read_cloud
 from mexpress.io.matches import (
     read_matches,
     read_points,
@@ -15,11 +17,20 @@ from mexpress.io.matches import (
 
 SOURCE = np.array([[1.0, 2.0], [5.0, 6.5], [9.0, -1e-3]])
 TARGET = np.array([[3.0, 4.0], [7.0, 8.0], [0.1, 1e20]])
+SQUARE = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 TABLE = np.hstack([SOURCE, TARGET])
 
 
 def lines(separator):
     return "".join(separator.join(map(repr, row)) + "\n" for row in TABLE.tolist())
+
+
+@pytest.mark.parametrize("read", [read_matches, read_points, read_cloud])
+def test_a_saved_model_is_no_data(tmp_path, read):
+    fit_warp(SQUARE, SQUARE + 1, [[1, 0], [0, 1], [0, 0]]).save(tmp_path / "warp.npz")
+    says = r"\. The file must hold data\. Given warp\.npz, a saved model, which mexpress\.load reads\.$"
+    with pytest.raises(ValueError, match=says):
+        read(tmp_path / "warp.npz")
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,8 @@ def file(tmp_path):
         "c1,r1,c2,r2",
         "before_x,before_y,after_x,after_y",
         "xmin,ymin,xmax,ymax",
+        "col1,col2,col3,col4",
+        "column1,column2,column3,column4",
         "moving x,moving y,fixed x,fixed y",
         "x,y,x',y'",
         "甲,乙,丙,丁",
@@ -95,7 +97,7 @@ def test_the_names_decide_and_not_the_order(file, names, order):
         (read_points, "i,j", "x may be i or j"),
         (read_points, "j,i", "x may be j or i"),
         (read_points, "ymin,xmin", "x may be ymin or xmin"),
-        (read_points, "name,grid_row,grid_col", "x may be grid_row or grid_col"),
+        (read_points, "grid_row,grid_col", "x may be grid_row or grid_col"),
         (read_cloud, "i,j,depth", "x may be i or j"),
     ],
 )

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.io.archives import read_arrays
+from mexpress.io.archives import read_data
 from mexpress.io.keypoints import index_pairs
 from mexpress.io.landmarks import landmarks
 from mexpress.io.missing import Missing
@@ -171,7 +171,7 @@ def _match_table(source: Source, column: str | int | None) -> tuple[Table, str |
     if is_frame(source) or Path(source).suffix.lower() != ".npz":
         return read_table(source, "matches"), WEIGHT_COLUMN if column is None else column
     path, weight = Path(source), WEIGHT_ARRAY if column is None else column
-    arrays = read_arrays(path, "matches")
+    arrays = read_data(path, "matches")
     weights = arrays.pop(str(weight), None)
     given, shares = _from_archive(arrays, weights, path)
     if shares is None:
@@ -252,7 +252,7 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
     else:
         path = Path(path)
         rule = f"{path.name} must hold one (n, 2) array (among several: points)."
-        table = _the_array(read_arrays(path, "points"), ("points",), path, rule)
+        table = _the_array(read_data(path, "points"), ("points",), path, rule)
     return complete(table, choose(table, [POINTS], columns).columns, Missing.of(missing))[0]
 
 

@@ -35,6 +35,8 @@ _AXES = (
 )
 _EITHER = (("i", "j"), ("j", "i"))
 """Axes of which some take the first for x, and some for y."""
+_COUNTED = re.compile(r"[cr]\d*|(col|column|row|line|sample)\d+")
+"""Names that say something of their axis only beside those of the other one: columns may be counted so."""
 _HEIGHTS = ("z", "depth", "height", "elevation", "elev", "altitude", "value")
 _SIDES = (
     *(
@@ -196,7 +198,9 @@ def choose(
     names = f" ({', '.join(table.names[k] or 'unnamed' for k in free)})" if table.names else ""
     text = next((f", besides {table.place(0, k)}" for k in range(table.width) if k not in table.numeric), "")
     headed = [table.names[k] for k in free] if table.names else []
-    might = next(filter(None, (_unclear(headed[: len(one.columns)], one) for one in layouts)), "")
+    might = next(
+        filter(None, (_unclear(headed[: len(one.columns)], one) for one in layouts if one.nameless)), ""
+    )
     might = might or _readings(layouts, len(free))
     given = f"{len(free)} columns{names}{might} in {table.where}{text}"
     check.refuse(table.name, _rule(layouts) + more, given)
@@ -223,13 +227,14 @@ def _contradicts(table: Table, columns: Sequence[int], layout: Layout) -> bool:
     if _unclear(names, layout):
         return True
     known = [{spelling[k] for spelling in layout.spellings} for k in range(len(columns))]
-    others = _NO_COORDINATES.union(*known) - {"c", "r"}  # which alone may be anything
+    others = {word for word in _NO_COORDINATES.union(*known) if not _COUNTED.fullmatch(word)}
     return any(plain(name) in others - here for name, here in zip(names, known, strict=True))
 
 
 def _unclear(names: Sequence[str], layout: Layout) -> str:
     """Say which column may be meant instead of the first, or of one with it, if names contradict the order."""
     plain_names = [plain(name) for name in names]
+    pairs: list[tuple[int, int, Sequence[tuple[str, str]]]]
     pairs = [(k, k + 1, (*_AXES, *_EITHER)) for k in range(0, len(names) - 1, 2)]
     if layout is MATCHES:
         pairs += [(k, k + 2, _SIDES) for k in range(len(names) - 2)]
