@@ -297,7 +297,7 @@ def test_texts_that_people_write(tmp_path, text, expected):
         ("1,2,3,4,5,6\n" * 9, "Given 6 columns, which may be u v x y z or x y z and others, in"),
         ("a,b,c,d\n" + "1,2,3,4\n" * 9, r"Given 4 columns \(a, b, c, d\) in"),
         ("id,x,y\n" + "1,2,3\n" * 9, r"Given 3 columns \(id, x, y\) in"),
-        ("y,x,h\n" + "1,2,3\n" * 9, r"Given 3 columns \(y, x, h\) in"),
+        ("y,x,h\n" + "1,2,3\n" * 9, r"Given 3 columns \(y, x, h\), where x may be y or x, in"),
         ("1,2,3\n\n1,2,3,4,5\n", "3 columns, as the first has. Given 5 in line 3"),
         ("x,y,z,s\n1,2,3\n", "4 columns, as the first has. Given 3 in line 2"),
         ("1,2,3\n" * 9 + "1,2,three\n", "must be numbers. Given 'three' in line 10"),
