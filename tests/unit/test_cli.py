@@ -765,7 +765,22 @@ def test_columns_that_could_be_others_are_refused_in_one_line(run, tmp_path):
     path = written(tmp_path / "m.csv", np.ones((9, 6)))
     status, _, errors = run("warp", path, *QUICK, tmp_path)
     assert (status, errors.count("\n")) == (2, 1)
-    assert "(such as --columns 1,2,3,4). Given 6 columns in m.csv" in errors
+    assert "by number from 1, such as --columns 1,2,3,4. Given 6 columns in m.csv" in errors
+
+
+def test_a_message_says_the_remedy_once(run, tmp_path):
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2\n1,2,3,\n")
+    _, _, errors = run("warp", tmp_path / "m.csv", *QUICK, tmp_path)
+    assert (
+        "Cells must be finite numbers; --missing drop leaves out the rows of others. Given '' in line 2"
+        in errors
+    )
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2,x2\n1,2,3,4,5\n")
+    _, _, errors = run("warp", tmp_path / "m.csv", *QUICK, tmp_path)
+    assert (
+        "say which are meant by their numbers from 1, such as --columns 1,2,3,4. Given x2 twice in m.csv"
+        in errors
+    )
 
 
 @pytest.mark.parametrize(

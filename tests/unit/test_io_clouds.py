@@ -292,7 +292,7 @@ def test_texts_that_people_write(tmp_path, text, expected):
         ("1,2,3,4\n" * 9, "Given 4 columns in"),
         (
             "1,2,3,4,5\n" * 9,
-            "--columns 1,2,3.*Given 5 columns, which may be u v x y z or x y z and others, in",
+            r"columns=\[1, 2, 3\].*Given 5 columns, which may be u v x y z or x y z and others, in",
         ),
         ("1,2,3,4,5,6\n" * 9, "Given 6 columns, which may be u v x y z or x y z and others, in"),
         ("a,b,c,d\n" + "1,2,3,4\n" * 9, r"Given 4 columns \(a, b, c, d\) in"),

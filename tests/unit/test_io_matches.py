@@ -101,7 +101,7 @@ def test_plain_arrays(tmp_path):
         ("", "which has none"),
         ("\n# nothing\n", "which has none"),
         ("x1,y1,x2,y2\n", "below its header"),
-        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*\(such as --columns 1,2,3,4\)\. Given 3 columns in"),
+        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*such as columns=\[1, 2, 3, 4\]\. Given 3 columns in"),
         ("1,2,3,4,5\n", r"Given 5 columns in"),
         ("1,2,3,4,five,6,seven\n", r"Given 6 columns in m.csv, besides 'seven' in line 1"),
         ("id,a,b,c\n1,2,3,4\n", r"Given 4 columns \(id, a, b, c\) in"),
@@ -123,7 +123,7 @@ def test_plain_arrays(tmp_path):
         ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns, as the first has. Given 4 in line 2"),
         (
             "x1,y1,x2,y2\n1,2,3,4\n1,2,,4\n",
-            "missing=\"drop\" .--missing drop. leaves out .* Given '' in line 3",
+            "missing=\"drop\" leaves out .* Given '' in line 3",
         ),
         ("x1,y1,x2,y2\n1,2,3,4\n1,2,NA,4\n", "'NA' in line 3"),
     ],
@@ -148,7 +148,7 @@ def test_texts_that_are_refused(tmp_path, text, says):
         ({"matches": TABLE * np.inf}, "inf at row 0"),
         ({"matches": np.array([["1"] * 4])}, "real numbers"),
         ({"matches": TABLE, "weights": np.ones(2)}, r"weights\. .*3 numbers.*\(2,\)"),
-        ({"a": np.ones((3, 5))}, r"--columns 1,2,3,4.*5 columns in a in m\.npz of shape \(3, 5\)"),
+        ({"a": np.ones((3, 5))}, r"columns=\[1, 2, 3, 4\].*5 columns in a in m\.npz of shape \(3, 5\)"),
         ({"matches": np.array([[None] * 4])}, "arrays of numbers"),
     ],
 )

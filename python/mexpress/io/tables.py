@@ -216,7 +216,10 @@ def _named(table: Table, layout: Layout) -> list[int] | None:
         readings = " or ".join(", ".join(spelling) for spelling in fits)
         check.refuse(table.name, _rule([layout]), f"{readings} in {table.where}")
     if twice := [name for name in fits[0] if names.count(name) > 1]:
-        rule = "Names must be of one column each; else say which are meant, by numbers from 1: columns= (--columns)."
+        rule = (
+            "Names must be of one column each; else say which are meant by their numbers from 1, such as "
+            f"{_numbers(layout)}."
+        )
         check.refuse(table.name, rule, f"{twice[0]} twice in {table.where}")
     return [names.index(name) for name in fits[0]]
 
@@ -270,12 +273,16 @@ def _is_index(names: Sequence[str]) -> bool:
 
 def _rule(layouts: Sequence[Layout]) -> str:
     named = " or ".join(", ".join(layout.columns) for layout in layouts)
-    nameless = next(layout.columns for layout in layouts if layout.nameless)
-    numbers = ",".join(map(str, range(1, len(nameless) + 1)))
+    nameless = next(layout for layout in layouts if layout.nameless)
     return (
-        f"It must have {len(nameless)} columns ({', '.join(nameless)}), or a header that names {named}; else say which "
-        f"columns are meant, by name or by number from 1, with columns= (such as --columns {numbers})."
+        f"It must have {len(nameless.columns)} columns ({', '.join(nameless.columns)}), or a header that names {named}; "
+        f"else say which columns are meant, by name or by number from 1, such as {_numbers(nameless)}."
     )
+
+
+def _numbers(layout: Layout) -> str:
+    """Write how columns are told by number."""
+    return f"columns={list(range(1, len(layout.columns) + 1))}"
 
 
 def _readings(layouts: Sequence[Layout], width: int) -> str:
@@ -362,7 +369,7 @@ def complete(
     holes = ~np.isfinite(numbers) & ~gone[:, None]
     if not (missing.drop or missing.keep) and holes.any():
         row, column = np.argwhere(holes)[0]
-        rule = 'Cells must be finite numbers; missing="drop" (--missing drop) leaves out the rows of others.'
+        rule = 'Cells must be finite numbers; missing="drop" leaves out the rows of others.'
         check.refuse(table.name, rule, table.place(int(row), columns[column]))
     gone |= holes.any(axis=1)
     if missing.keep:
