@@ -25,6 +25,36 @@ def lines(separator):
     return "".join(separator.join(map(repr, row)) + "\n" for row in TABLE.tolist())
 
 
+@pytest.mark.parametrize("first", ["sep=;", '"sep=;"', "SEP=;"])
+def test_a_first_line_that_tells_excel_the_separator(tmp_path, first):
+    (tmp_path / "m.csv").write_text(f"{first}\nx2;y2;x1;y1\n1,5;2;3;4\n")
+    source, target = read_matches(tmp_path / "m.csv")
+    assert (source.tolist(), target.tolist()) == ([[3, 4]], [[1.5, 2]])
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_archives_of_matchers(tmp_path, batch):
+    def save(**arrays):
+        np.savez(
+            tmp_path / "m.npz", **{key: array[None] if batch else array for key, array in arrays.items()}
+        )
+        return read_weighted_matches(tmp_path / "m.npz")[:3]
+
+    source, target, _ = save(mkpts0=SOURCE, mkpts1=TARGET)
+    np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
+    for weights in (None, np.array([0.1, 0.2, 0.3])):
+        more = {} if weights is None else {"weights": weights}
+        source, target, found = save(
+            keypoints0=SOURCE, keypoints1=TARGET, matches0=np.array([2, -1, 0]), **more
+        )
+        np.testing.assert_array_equal(
+            np.hstack([source, target]), np.hstack([SOURCE[[0, 2]], TARGET[[2, 0]]])
+        )
+        assert found is None or found.tolist() == [0.1, 0.3]
+    source, target, _ = save(keypoints0=SOURCE, keypoints1=TARGET, matches=np.array([[2, 1]]))
+    np.testing.assert_array_equal(np.hstack([source, target]), np.hstack([SOURCE[[2]], TARGET[[1]]]))
+
+
 @pytest.mark.parametrize("read", [read_matches, read_points, read_cloud])
 def test_a_saved_model_is_no_data(tmp_path, read):
     fit_warp(SQUARE, SQUARE + 1, [[1, 0], [0, 1], [0, 0]]).save(tmp_path / "warp.npz")

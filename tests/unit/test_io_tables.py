@@ -330,6 +330,13 @@ def test_values_in_arrays(tmp_path, dtype):
     assert read_cloud(tmp_path / "c.npy", missing=-3.4e38).n_missing == 1
 
 
+@pytest.mark.parametrize("lowest", ["-3.4028235e+38", "-3.40282346638528860e+38", "-3.4e38"])
+def test_the_lowest_float_in_short(file, lowest):
+    path = file(f"x,y,z\n1,2,3\n4,5,{lowest}\n7,8,9\n1,1,1\n2,5,3.4e37\n")
+    cloud = read_cloud(path, missing=-3.4e38)
+    np.testing.assert_array_equal(cloud.values, [3, 9, 1, 3.4e37])
+
+
 def test_clouds_leave_out_what_is_missing_and_count_it(file):
     cloud = read_cloud(
         file("x,y,z\n1,2,3\n4,5,\n7,8,NA\n1,1,null\n2,5,3\n2,6,-9999\n9,9,9\n0,0,0\n"), missing=[-9999]

@@ -275,8 +275,8 @@ def _rule(layouts: Sequence[Layout]) -> str:
     named = " or ".join(", ".join(layout.columns) for layout in layouts)
     nameless = next(layout for layout in layouts if layout.nameless)
     return (
-        f"It must have {len(nameless.columns)} columns ({', '.join(nameless.columns)}), or a header that names {named}; "
-        f"else say which columns are meant, by name or by number from 1, such as {_numbers(nameless)}."
+        f"It must have {len(nameless.columns)} columns ({', '.join(nameless.columns)}), or a header that names {named}"
+        f"; else say which columns are meant, by name or by number from 1, such as {_numbers(nameless)}."
     )
 
 
@@ -362,10 +362,9 @@ def complete(
     [[1.0, 2.0], [nan, nan], [nan, nan]]
     """
     numbers = table.numbers(columns)
-    gone = np.zeros(len(numbers), dtype=np.bool_) if off is None else off.copy()
-    for value in missing.values:
-        with np.errstate(over="ignore"):  # numbers may have been of either type
-            gone |= ((numbers == value) | (numbers == np.float32(value))).any(axis=1)
+    gone = np.asarray(missing.told(numbers).any(axis=1))
+    if off is not None:
+        gone |= off
     holes = ~np.isfinite(numbers) & ~gone[:, None]
     if not (missing.drop or missing.keep) and holes.any():
         row, column = np.argwhere(holes)[0]
