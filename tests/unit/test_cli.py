@@ -629,6 +629,24 @@ def test_queries(run, matches, tmp_path, how):
     assert said["rivals"].keys() == expected.rivals.keys()
 
 
+@pytest.mark.parametrize("options", [[], ["--missing", "drop"], ["--missing", "-9999"]])
+def test_queries_that_are_not_known_are_left_out(run, matches, tmp_path, options):
+    gap = "-9999,3" if "-9999" in options else "nan,nan"
+    (tmp_path / "q.csv").write_text(f"x,y\n2000,0\n{gap}\n2100,300\n")
+    options = [*options, "--queries", tmp_path / "q.csv", "--out", tmp_path]
+    status, _, errors = run("warp", matches, *CALM, *SIZE, *options)
+    assert status == 0, errors
+    assert "mexpress: 1 of 3 queries are not known, and left out\n" in errors
+    where = [[2000.0, 0.0], [2100.0, 300.0]]
+    expected = mx.select_warp(SOURCE, TARGET, image_size=(640, 480), queries=where)
+    said = json.loads((tmp_path / "selection.json").read_text())
+    assert said["curves"]["MATCHED"] == expected.curves["MATCHED"].tolist()
+    (tmp_path / "q.csv").write_text(f"x,y\n{gap}\n{gap}\n")
+    status, _, errors = run("warp", matches, *CALM, *SIZE, *options)
+    assert status == 2
+    assert errors.endswith("queries. One point at least must be known. Given none of 2 in q.csv.\n")
+
+
 @pytest.mark.parametrize(
     ("option", "says"),
     [
@@ -747,7 +765,22 @@ def test_columns_that_could_be_others_are_refused_in_one_line(run, tmp_path):
     path = written(tmp_path / "m.csv", np.ones((9, 6)))
     status, _, errors = run("warp", path, *QUICK, tmp_path)
     assert (status, errors.count("\n")) == (2, 1)
-    assert "(such as --columns 1,2,3,4). Given 6 columns in m.csv" in errors
+    assert "by number from 1, such as --columns 1,2,3,4. Given 6 columns in m.csv" in errors
+
+
+def test_a_message_says_the_remedy_once(run, tmp_path):
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2\n1,2,3,\n")
+    _, _, errors = run("warp", tmp_path / "m.csv", *QUICK, tmp_path)
+    assert (
+        "Cells must be finite numbers; --missing drop leaves out the rows of others. Given '' in line 2"
+        in errors
+    )
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2,x2\n1,2,3,4,5\n")
+    _, _, errors = run("warp", tmp_path / "m.csv", *QUICK, tmp_path)
+    assert (
+        "say which are meant by their numbers from 1, such as --columns 1,2,3,4. Given x2 twice in m.csv"
+        in errors
+    )
 
 
 @pytest.mark.parametrize(

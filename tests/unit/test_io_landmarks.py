@@ -32,8 +32,21 @@ def test_columns_that_are_told_are_as_they_are(tmp_path):
     (tmp_path / "scan.points").write_text(QGIS.format(source="source"))
     columns = ["sourceX", "sourceY", "mapX", "mapY"]
     np.testing.assert_array_equal(
-        read_matches(tmp_path / "scan.points", columns=columns)[0], [[10.5, -20.25], [110, -120], [210, -220]]
+        read_matches(tmp_path / "scan.points", columns=columns)[0], [[10.5, -20.25], [210, -220]]
     )
+
+
+def test_qgis_of_an_image_with_coordinates_must_be_told(tmp_path):
+    (tmp_path / "scan.points").write_text(QGIS.format(source="source").replace("210,-220", "210,4649700"))
+    told = r'columns=\["sourceX", "sourceY", "mapX", "mapY"\]\. Given 4\.6497e\+06 in scan\.points'
+    with pytest.raises(ValueError, match=rf"^Invalid matches\. sourceY must be at most 0.*{told}"):
+        read_matches(tmp_path / "scan.points")
+    columns = ["sourceX", "sourceY", "mapX", "mapY"]
+    np.testing.assert_array_equal(
+        read_matches(tmp_path / "scan.points", columns=columns)[0], [[10.5, -20.25], [210, 4649700]]
+    )
+    (tmp_path / "scan.points").write_text(QGIS.format(source="source").replace("110,-120,1", "110,120,0"))
+    np.testing.assert_array_equal(read_matches(tmp_path / "scan.points")[0], [[10.5, 20.25], [210, 220]])
 
 
 def test_bigwarp(tmp_path):
@@ -47,6 +60,17 @@ def test_bigwarp(tmp_path):
     )
     with pytest.raises(ValueError, match=r"'Infinity' in line 3 of landmarks\.csv"):
         read_matches(tmp_path / "landmarks.csv")
+
+
+def test_landmarks_that_are_not_active_stay_out_of_columns_that_are_told(tmp_path):
+    (tmp_path / "landmarks.csv").write_text(BIGWARP)
+    moving, fixed = read_matches(tmp_path / "landmarks.csv", columns=[5, 6, 3, 4])
+    np.testing.assert_array_equal(moving, [[110.5, 120.25], [130, 140]])
+    np.testing.assert_array_equal(fixed, [[10.5, 20.25], [30, 40]])
+    rows = '"Pt-0","true","1","2","3","4","5","6"\n"Pt-1","false","9","9","9","9","9","9"\n'
+    (tmp_path / "landmarks.csv").write_text(rows)
+    moving, fixed = read_matches(tmp_path / "landmarks.csv", columns=[3, 4, 6, 7])
+    assert (moving.tolist(), fixed.tolist()) == ([[1, 2]], [[4, 5]])
 
 
 def test_bigwarp_in_space(tmp_path):

@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mexpress import fit_warp
+from mexpress.io.clouds import read_cloud
 from mexpress.io.matches import (
     read_matches,
     read_points,
@@ -15,11 +17,50 @@ from mexpress.io.matches import (
 
 SOURCE = np.array([[1.0, 2.0], [5.0, 6.5], [9.0, -1e-3]])
 TARGET = np.array([[3.0, 4.0], [7.0, 8.0], [0.1, 1e20]])
+SQUARE = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 TABLE = np.hstack([SOURCE, TARGET])
 
 
 def lines(separator):
     return "".join(separator.join(map(repr, row)) + "\n" for row in TABLE.tolist())
+
+
+@pytest.mark.parametrize("first", ["sep=;", '"sep=;"', "SEP=;"])
+def test_a_first_line_that_tells_excel_the_separator(tmp_path, first):
+    (tmp_path / "m.csv").write_text(f"{first}\nx2;y2;x1;y1\n1,5;2;3;4\n")
+    source, target = read_matches(tmp_path / "m.csv")
+    assert (source.tolist(), target.tolist()) == ([[3, 4]], [[1.5, 2]])
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_archives_of_matchers(tmp_path, batch):
+    def save(**arrays):
+        np.savez(
+            tmp_path / "m.npz", **{key: array[None] if batch else array for key, array in arrays.items()}
+        )
+        return read_weighted_matches(tmp_path / "m.npz")[:3]
+
+    source, target, _ = save(mkpts0=SOURCE, mkpts1=TARGET)
+    np.testing.assert_array_equal(np.hstack([source, target]), TABLE)
+    for weights in (None, np.array([0.1, 0.2, 0.3])):
+        more = {} if weights is None else {"weights": weights}
+        source, target, found = save(
+            keypoints0=SOURCE, keypoints1=TARGET, matches0=np.array([2, -1, 0]), **more
+        )
+        np.testing.assert_array_equal(
+            np.hstack([source, target]), np.hstack([SOURCE[[0, 2]], TARGET[[2, 0]]])
+        )
+        assert found is None or found.tolist() == [0.1, 0.3]
+    source, target, _ = save(keypoints0=SOURCE, keypoints1=TARGET, matches=np.array([[2, 1]]))
+    np.testing.assert_array_equal(np.hstack([source, target]), np.hstack([SOURCE[[2]], TARGET[[1]]]))
+
+
+@pytest.mark.parametrize("read", [read_matches, read_points, read_cloud])
+def test_a_saved_model_is_no_data(tmp_path, read):
+    fit_warp(SQUARE, SQUARE + 1, [[1, 0], [0, 1], [0, 0]]).save(tmp_path / "warp.npz")
+    says = r"\. The file must hold data\. Given warp\.npz, a saved model, which mexpress\.load reads\.$"
+    with pytest.raises(ValueError, match=says):
+        read(tmp_path / "warp.npz")
 
 
 @pytest.mark.parametrize(
@@ -90,7 +131,7 @@ def test_plain_arrays(tmp_path):
         ("", "which has none"),
         ("\n# nothing\n", "which has none"),
         ("x1,y1,x2,y2\n", "below its header"),
-        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*\(such as --columns 1,2,3,4\)\. Given 3 columns in"),
+        ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*such as columns=\[1, 2, 3, 4\]\. Given 3 columns in"),
         ("1,2,3,4,5\n", r"Given 5 columns in"),
         ("1,2,3,4,five,6,seven\n", r"Given 6 columns in m.csv, besides 'seven' in line 1"),
         ("id,a,b,c\n1,2,3,4\n", r"Given 4 columns \(id, a, b, c\) in"),
@@ -112,7 +153,7 @@ def test_plain_arrays(tmp_path):
         ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns, as the first has. Given 4 in line 2"),
         (
             "x1,y1,x2,y2\n1,2,3,4\n1,2,,4\n",
-            "missing=\"drop\" .--missing drop. leaves out .* Given '' in line 3",
+            "missing=\"drop\" leaves out .* Given '' in line 3",
         ),
         ("x1,y1,x2,y2\n1,2,3,4\n1,2,NA,4\n", "'NA' in line 3"),
     ],
@@ -137,7 +178,7 @@ def test_texts_that_are_refused(tmp_path, text, says):
         ({"matches": TABLE * np.inf}, "inf at row 0"),
         ({"matches": np.array([["1"] * 4])}, "real numbers"),
         ({"matches": TABLE, "weights": np.ones(2)}, r"weights\. .*3 numbers.*\(2,\)"),
-        ({"a": np.ones((3, 5))}, r"--columns 1,2,3,4.*5 columns in a in m\.npz of shape \(3, 5\)"),
+        ({"a": np.ones((3, 5))}, r"columns=\[1, 2, 3, 4\].*5 columns in a in m\.npz of shape \(3, 5\)"),
         ({"matches": np.array([[None] * 4])}, "arrays of numbers"),
     ],
 )

@@ -38,6 +38,12 @@ def file(tmp_path):
         "img0_x,img0_y,img1_x,img1_y",
         "col1,row1,col2,row2",
         "xa,ya,xb,yb",
+        "lon1,lat1,lon2,lat2",
+        "c1,r1,c2,r2",
+        "before_x,before_y,after_x,after_y",
+        "xmin,ymin,xmax,ymax",
+        "col1,col2,col3,col4",
+        "column1,column2,column3,column4",
         "moving x,moving y,fixed x,fixed y",
         "x,y,x',y'",
         "甲,乙,丙,丁",
@@ -65,16 +71,50 @@ def test_matches_behind_a_column_that_is_none(file, header):
 
 
 @pytest.mark.parametrize("order", [[2, 3, 0, 1], [1, 0, 3, 2]])
-def test_the_names_decide_and_not_the_order(file, order):
-    names = np.array(["source_x", "source_y", "target_x", "target_y"])[order]
+@pytest.mark.parametrize(
+    "names",
+    [
+        "source_x,source_y,target_x,target_y",
+        "lon1,lat1,lon2,lat2",
+        "c1,r1,c2,r2",
+        "sample_left,line_left,sample_right,line_right",
+        "before_x,before_y,after_x,after_y",
+    ],
+)
+def test_the_names_decide_and_not_the_order(file, names, order):
+    names = np.array(names.split(","))[order]
     path = file(text(ROWS[:, order], ",".join(names)))
     np.testing.assert_array_equal(np.hstack(read_matches(path)), ROWS)
+
+
+@pytest.mark.parametrize(
+    ("read", "header", "says"),
+    [
+        (read_matches, "i1,j1,i2,j2", "x1 may be i1 or j1"),
+        (read_matches, "j,i,q,p", "x1 may be j or i"),
+        (read_matches, "ymin,xmin,ymax,xmax", "x1 may be ymin or xmin"),
+        (read_matches, "q after,p after,q before,p before", "x1 may be q after or q before"),
+        (read_points, "i,j", "x may be i or j"),
+        (read_points, "j,i", "x may be j or i"),
+        (read_points, "ymin,xmin", "x may be ymin or xmin"),
+        (read_points, "grid_row,grid_col", "x may be grid_row or grid_col"),
+        (read_cloud, "i,j,depth", "x may be i or j"),
+    ],
+)
+def test_names_that_contradict_the_order_are_refused_with_both_readings(file, read, header, says):
+    width = header.count(",") + 1
+    path = file(text(np.ones((5, width)), header))
+    with pytest.raises(ValueError, match=rf"columns=.*Given \d columns \(.*\), where {says}, in t\.csv"):
+        read(path)
 
 
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
         ("x,y", [0, 1]),
+        ("r,c", [1, 0]),
+        ("line,sample", [1, 0]),
+        ("b,c", [0, 1]),
         ("lon,lat", [0, 1]),
         ("lat,lon", [1, 0]),
         ("row,col", [1, 0]),
@@ -105,6 +145,7 @@ def test_matches_are_no_points_until_it_is_clear_of_which_image(file):
         ("u,v,x,y,z,w", [0, 1, 2, 3, 4]),
         ("U V X Y Z", [0, 1, 2, 3, 4]),
         ("lat,lon,elevation", [1, 0, 2]),
+        ("elev,northing,easting", [2, 1, 0]),
         ("id,col,row,depth", [1, 2, 3]),
         ("easting,northing,height,depth", None),
     ],
@@ -135,7 +176,7 @@ def test_a_narrow_table_is_no_depth_map_and_must_say_what_it_is(tmp_path, width,
         f"Given {width} columns, which may be u v x y z or x y z and others," if width > 4 else "4 columns"
     )
     with pytest.raises(
-        ValueError, match=rf"^Invalid cloud\. .*--columns 1,2,3\)\..*{readings} .*c\.{name[2:]}"
+        ValueError, match=rf"^Invalid cloud\. .*columns=\[1, 2, 3\]\..*{readings} .*c\.{name[2:]}"
     ):
         read_cloud(path)
     read = np.loadtxt(path) if name == "c.txt" else table
@@ -251,7 +292,7 @@ def test_rows_with_something_missing_are_left_out(file, missing, rows):
 
 @pytest.mark.parametrize("missing", [None, -9999, [65535, 0]])
 def test_an_empty_cell_is_an_error_unless_it_is_told(file, missing):
-    says = "missing=\"drop\" \\(--missing drop\\) leaves out the rows of others. Given '' in line 3 of t.csv"
+    says = "missing=\"drop\" leaves out the rows of others. Given '' in line 3 of t.csv"
     with pytest.raises(ValueError, match=says):
         read_matches(file(HOLES), missing=missing)
 
@@ -287,6 +328,13 @@ def test_values_in_arrays(tmp_path, dtype):
     assert cloud.n_missing == 1
     np.save(tmp_path / "c.npy", np.where(table == -9999, np.float32(-3.4e38), table.astype(np.float32)))
     assert read_cloud(tmp_path / "c.npy", missing=-3.4e38).n_missing == 1
+
+
+@pytest.mark.parametrize("lowest", ["-3.4028235e+38", "-3.40282346638528860e+38", "-3.4e38"])
+def test_the_lowest_float_in_short(file, lowest):
+    path = file(f"x,y,z\n1,2,3\n4,5,{lowest}\n7,8,9\n1,1,1\n2,5,3.4e37\n")
+    cloud = read_cloud(path, missing=-3.4e38)
+    np.testing.assert_array_equal(cloud.values, [3, 9, 1, 3.4e37])
 
 
 def test_clouds_leave_out_what_is_missing_and_count_it(file):

@@ -84,6 +84,27 @@ def test_points_as_opencv_has_them():
     np.testing.assert_array_equal(gaps(SOURCE), mx.fit_warp(SOURCE[KEPT], TARGET[KEPT], SOURCE[:6])(SOURCE))
 
 
+@pytest.mark.parametrize("gap", [0, 2])
+@pytest.mark.parametrize(
+    ("weights", "says"),
+    [
+        (np.where(np.arange(40) == 10, -1.0, 1), "40 numbers of at least 0.*Given -1 for datum 10"),
+        (-np.ones(40), "40 numbers of at least 0.*Given -1 for datum"),
+        (np.zeros(40), "40 numbers of at least 0, one for each datum, and one above 0"),
+        (np.ones((40, 1)), r"40 numbers.*Given shape \(40, 1\)"),
+    ],
+)
+def test_messages_count_all_rows(gap, weights, says):
+    values = np.where(np.arange(40) == gap, np.nan, DEPTH)
+    with pytest.raises(ValueError, match=rf"^Invalid weights\. It must be {says}"):
+        mx.select_surface(SOURCE, values, weights=weights, missing="drop")
+    target = np.where(np.arange(40)[:, None] == gap, np.nan, TARGET)
+    with pytest.raises(ValueError, match=rf"^Invalid weights\. It must be {says}"):
+        mx.select_warp(SOURCE, target, weights=weights, missing="drop")
+    with pytest.raises(ValueError, match=r"^Invalid target\. .*Given shape \(40, 3\)"):
+        mx.select_warp(SOURCE, np.column_stack([target, values]), missing="drop")
+
+
 @pytest.mark.parametrize(
     "call", [mx.select_surface, lambda *data, **how: mx.fit_surface(*data, SOURCE[:6], **how)]
 )
@@ -105,7 +126,7 @@ def test_points_as_opencv_has_them():
         ([[1, 2], [3]], "drop", "values"),
         ("abc", "drop", "values"),
         (DEPTH * 1j, "drop", "values"),
-        (DEPTH * np.nan, "drop", "points.*at least one"),
+        (DEPTH * np.nan, "drop", r"points\. There must be rows that are whole\. Given 0 of 40\."),
         (DEPTH, "keep", 'missing.* "raise" or "drop". Given \'keep\''),
         (DEPTH, True, 'missing.* "raise" or "drop". Given True'),
         (DEPTH, None, "missing"),

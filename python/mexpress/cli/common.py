@@ -14,11 +14,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from mexpress import _validation as check
 from mexpress._validation import Floats, nearest_name
 from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.io import matches
-from mexpress.io.missing import DROP
+from mexpress.io.missing import DROP, KEEP
 from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
@@ -147,9 +148,22 @@ def selection_options(arguments: argparse.Namespace) -> dict[str, Any]:
     names = "criterion", "criteria", "lifting", "placement", "smoothing", "seed", "threads", "robust"
     queries = arguments.queries
     if isinstance(queries, Path):
-        queries = matches.read_points(queries)
+        queries = _known_queries(queries, arguments.missing)
     given = {name: getattr(arguments, name) for name in names}
     return {**given, "queries": queries, "progress": not arguments.quiet}
+
+
+def _known_queries(path: Path, missing: list[float | str] | None) -> Floats:
+    """Read queries without those that are not known, as some results of `mexpress apply` are."""
+    values = [value for value in missing or [] if value != DROP]
+    points = matches.read_points(path, missing=[*values, KEEP])
+    known = np.isfinite(points).all(axis=1)
+    if not known.any():
+        rule = "One point at least must be known."
+        check.refuse("queries", rule, f"none of {len(points)} in {path.name}")
+    if not known.all():
+        warn(f"{(~known).sum()} of {len(points)} queries are not known, and left out")
+    return np.asarray(points[known])
 
 
 def as_weights(arguments: argparse.Namespace, column: Floats | None) -> Floats | None:

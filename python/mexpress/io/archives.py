@@ -78,6 +78,27 @@ def read_arrays(path: Path, name: str) -> dict[str, NDArray[Any]]:
             check.refuse(name, rule, f"{path.name}, {fault}")
 
 
+def read_data(path: Path, name: str) -> dict[str, NDArray[Any]]:
+    """Read arrays as `read_arrays` does; refuse those of a saved model, which are no data.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/warp.npz", format="mexpress model", kind="warp")
+    ...     read_data(Path(f"{folder}/warp.npz"), "points")
+    Traceback (most recent call last):
+        ...
+    ValueError: Invalid points. The file must hold data. Given warp.npz, a saved model, which mexpress.load reads.
+    """
+    arrays = read_arrays(path, name)
+    if {"format", "kind"} <= arrays.keys():
+        check.refuse(
+            name, "The file must hold data.", f"{path.name}, a saved model, which mexpress.load reads"
+        )
+    return arrays
+
+
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a file for writing that takes its name, and an older file's place, once it is complete.

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.io.archives import ARCHIVES, read_arrays
+from mexpress.io.archives import ARCHIVES, read_data
 from mexpress.io.depth import DepthMap, depth_of_array, depth_of_raster
 from mexpress.io.grids import is_grid
 from mexpress.io.images import read_raster
@@ -304,7 +304,7 @@ def _with_weights(source: Source, told: _Told) -> tuple[DepthMap | _Points, Any]
         table, weights = _read_ply(path, str(told.weights or WEIGHT_COLUMN))
         return _Points(table[:, :2], table[:, 2]), weights
     if ending in ARCHIVES:
-        arrays = read_arrays(Path(source), "cloud")
+        arrays = read_data(Path(source), "cloud")
         weights = arrays.pop(str(told.weights or WEIGHT_ARRAY), None)
         points, shares = _from_archive(arrays, Path(source), told)
         return points, shares if weights is None else weights

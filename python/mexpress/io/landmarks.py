@@ -22,16 +22,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
+from mexpress._validation import Floats
 from mexpress.io.tables import Table, plain
 from mexpress.io.text import TextTable
 
 
 class Landmarks(NamedTuple):
-    """Columns x1 y1 x2 y2 of landmarks, what to multiply them by, and which rows are not in use."""
+    """Columns x1 y1 x2 y2 of landmarks, what to multiply them by, and which rows are not in use.
+
+    Those of BigWarp in space have six columns.
+    """
 
     columns: list[int]
     signs: tuple[int, int, int, int]
     off: NDArray[np.bool_]
+
+    def in_image(self, numbers: Floats, table: Table) -> Floats:
+        """Return numbers (n, 4 or more) of the columns with y downwards; refuse those that are no pixels of images."""
+        if len(self.columns) == 6:
+            rule = "Landmarks of BigWarp must have two dimensions."
+            check.refuse(table.name, rule, f"three in {table.where}")
+        above = numbers[:, 1][numbers[:, 1] > 0]
+        if self.signs[1] < 0 and above.size:
+            names = [table.names[column] for column in self.columns]
+            rule = (
+                f"{names[1]} must be at most 0, as QGIS counts in an image without coordinates; that of an image with "
+                f"coordinates is read as it is with columns={names!r}."
+            )
+            check.refuse(table.name, rule.replace("'", '"'), f"{above[0]:g} in {table.where}")
+        return np.column_stack([numbers[:, :4] * self.signs, numbers[:, 4:]])
 
 
 def landmarks(table: Table) -> Landmarks | None:
@@ -41,11 +60,6 @@ def landmarks(table: Table) -> Landmarks | None:
     ----------
     table : Table
         Of any program.
-
-    Raises
-    ------
-    ValueError
-        If the landmarks have three dimensions.
 
     Examples
     --------
@@ -69,8 +83,5 @@ def _qgis(table: Table) -> Landmarks | None:
 def _bigwarp(table: TextTable) -> Landmarks | None:
     if table.width not in (6, 8) or table.first[1].lower() not in {"true", "false"}:
         return None
-    if table.width == 8:
-        rule = "Landmarks of BigWarp must have two dimensions."
-        check.refuse(table.name, rule, f"three in {table.where}")
     off = np.array([word.lower() == "false" for word in table.words(1)])
-    return Landmarks([2, 3, 4, 5], (1, 1, 1, 1), off)
+    return Landmarks(list(range(2, table.width)), (1, 1, 1, 1), off)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.io.archives import read_arrays
+from mexpress.io.archives import read_data
 from mexpress.io.keypoints import index_pairs
 from mexpress.io.landmarks import landmarks
 from mexpress.io.missing import Missing
@@ -28,6 +28,10 @@ from mexpress.io.tables import MATCHES, POINTS, ArrayTable, Table, choose, compl
 
 WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
 """What weights are called in a text and in an archive, unless a name is given."""
+
+
+_MATCHED = ("source", "target"), ("mkpts0", "mkpts1")
+"""Names of arrays of matched points, ours and those of LoFTR."""
 
 
 class WeightedMatches(NamedTuple):
@@ -52,13 +56,14 @@ def read_matches(
         * Text: cells separated by commas, semicolons, tabs or blanks, in UTF-8, UTF-16 or Latin-1; with decimal commas
           unless these separate. Lines that begin with #, % or // are comments, and so is what follows a blank and #.
           Words before and after the numbers are labels. "-" is standard input.
-        * `.npy`: one (n, 4) array, or one with fields. `.npz`: arrays `source` and `target`, (n, 2) each; or one
-          array as in `.npy`, which is named `matches` or `tentative` if there are others; or those of a matcher,
-          `keypoints0`, `keypoints1`, and `matches` or `matches0`, see `mexpress.io.keypoints.matches_of`.
+        * `.npy`: one (n, 4) array, or one with fields. `.npz`: arrays `source` and `target`, or `mkpts0` and `mkpts1`,
+          (n, 2) each; or one array as in `.npy`, which is named `matches` or `tentative` if there are others; or those of
+          a matcher, `keypoints0`, `keypoints1`, and `matches` or `matches0`, see `mexpress.io.keypoints.matches_of`.
         * `.parquet`, with the extra ``parquet``.
         * A frame of pandas or polars.
         * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
-          y that is negative below their upper edge; its sign is changed, so that the source has y downwards.
+          y that is negative below their upper edge; its sign is changed, so that the source has y downwards. Images
+          with coordinates need `columns`.
 
         A header finds the columns in any order and among others, by these names or by those such as src_x, sourceX,
         x_left, u0, moving_x. Columns of no known name must be four.
@@ -138,14 +143,15 @@ def read_weighted_matches(
     """
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
-    marked = landmarks(table) if columns is None else None
-    if marked:
+    marked = landmarks(table)
+    if marked and columns is None:
         shares = find(table, weight)
         chosen = marked.columns if shares is None else [*marked.columns, shares]
         numbers, known = complete(table, chosen, told, marked.off)
-        numbers[:, :4] *= marked.signs
+        numbers = marked.in_image(numbers, table)
     else:
-        numbers, known = complete(table, choose(table, [MATCHES], columns, weight).all, told)
+        chosen = choose(table, [MATCHES], columns, weight).all
+        numbers, known = complete(table, chosen, told, marked.off if marked else None)
     weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
     named_weights(weights, column, table.where)
     return WeightedMatches(numbers[:, :2].copy(), numbers[:, 2:4].copy(), weights, known)
@@ -169,7 +175,7 @@ def _match_table(source: Source, column: str | int | None) -> tuple[Table, str |
     if is_frame(source) or Path(source).suffix.lower() != ".npz":
         return read_table(source, "matches"), WEIGHT_COLUMN if column is None else column
     path, weight = Path(source), WEIGHT_ARRAY if column is None else column
-    arrays = read_arrays(path, "matches")
+    arrays = read_data(path, "matches")
     weights = arrays.pop(str(weight), None)
     given, shares = _from_archive(arrays, weights, path)
     if shares is None:
@@ -188,18 +194,26 @@ def _from_archive(
     pairing = next((key for key in ("matches", "matches0") if key in arrays), None)
     if {"keypoints0", "keypoints1"} <= arrays.keys() and pairing:
         first, second = (_two_columns(arrays[name], name) for name in ("keypoints0", "keypoints1"))
-        pairs = index_pairs(arrays[pairing], len(first), len(second))
-        if weights is not None and arrays[pairing].ndim == 1:  # one for each keypoint, matched or not
-            weights = weights[pairs[:, 0]]
+        matched = _matched(arrays[pairing], len(first))
+        pairs = index_pairs(matched, len(first), len(second))
+        if weights is not None and matched.ndim == 1:  # one for each keypoint, matched or not
+            weights = weights.reshape(-1)[pairs[:, 0]]
         return _side_by_side(first[pairs[:, 0]], second[pairs[:, 1]], path), weights
-    if {"source", "target"} <= arrays.keys():
-        source, target = (_two_columns(arrays[name], name) for name in ("source", "target"))
+    sides = next((names for names in _MATCHED if set(names) <= arrays.keys()), None)
+    if sides:
+        source, target = (_two_columns(arrays[name], name) for name in sides)
         if len(source) != len(target):
-            rule = "It must have one point per source point."
-            check.refuse("target", rule, f"{len(target)} for {len(source)} in {path.name}")
+            rule = f"It must have one point per {sides[0]} point."
+            check.refuse(sides[1], rule, f"{len(target)} for {len(source)} in {path.name}")
         return _side_by_side(source, target, path), weights
     what = "arrays source and target, (n, 2), or one (n, 4) array (among several: matches)"
     return _the_array(arrays, ("matches", "tentative"), path, f"{path.name} must hold {what}."), weights
+
+
+def _matched(matches: NDArray[Any], n: int) -> NDArray[Any]:
+    """Return matches of n keypoints without the axis of a batch of one."""
+    batch = matches.ndim == 3 or (matches.ndim == 2 and matches.shape == (1, n) and n != 2)
+    return matches[0] if batch and len(matches) == 1 else matches
 
 
 def _side_by_side(source: Floats, target: Floats, path: Path) -> ArrayTable:
@@ -208,6 +222,8 @@ def _side_by_side(source: Floats, target: Floats, path: Path) -> ArrayTable:
 
 def _two_columns(array: NDArray[Any], name: str) -> Floats:
     numbers = check.real(array, name)
+    if numbers.ndim == 3 and len(numbers) == 1:  # a batch of one
+        numbers = numbers[0]
     if numbers.ndim != 2 or numbers.shape[1] != 2:
         check.refuse(name, "It must be points of shape (n, 2).", f"shape {numbers.shape}")
     return numbers
@@ -250,7 +266,7 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
     else:
         path = Path(path)
         rule = f"{path.name} must hold one (n, 2) array (among several: points)."
-        table = _the_array(read_arrays(path, "points"), ("points",), path, rule)
+        table = _the_array(read_data(path, "points"), ("points",), path, rule)
     return complete(table, choose(table, [POINTS], columns).columns, Missing.of(missing))[0]
 
 

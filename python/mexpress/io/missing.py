@@ -19,6 +19,9 @@ from mexpress import _validation as check
 
 DROP, KEEP = "drop", "keep"
 
+_LARGEST = 3.4e38
+"""The largest float, and minus the lowest, as they are written in short."""
+
 
 @dataclass(frozen=True, repr=False)
 class Missing:
@@ -75,8 +78,22 @@ class Missing:
         >>> Missing.of(-3.4e38).marks(np.array([-3.4e38, 1], np.float32))  # the nearest number of the array's type
         array([ True, False])
         """
-        marked: NDArray[np.bool_] = ~np.isfinite(array)
+        return np.asarray(~np.isfinite(array) | self.told(array))
+
+    def told(self, array: NDArray[np.bool_ | np.number[Any]]) -> NDArray[np.bool_]:
+        """Return where an array of real numbers has one of the values, in the precision of doubles or floats.
+
+        -3.4e38 is the lowest float, -3.4028235e38, too.
+
+        Examples
+        --------
+        >>> Missing.of([-3.4e38, 0.1]).told(np.array([np.finfo(np.float32).min, np.float32(0.1), 0.1, 0.2]))
+        array([ True,  True,  True, False])
+        """
+        marked = np.zeros(array.shape, dtype=np.bool_)
         with np.errstate(over="ignore"):
             for value in self.values:
-                marked |= array == (array.dtype.type(value) if array.dtype.kind == "f" else value)
+                marked |= (array == value) | (array == np.float32(value))
+                if abs(value) >= _LARGEST:
+                    marked |= array * np.sign(value) >= _LARGEST
         return marked

@@ -30,8 +30,14 @@ _AXES = (
     ("lng", "lat"),
     ("column", "row"),
     ("col", "row"),
+    ("c", "r"),
+    ("sample", "line"),
 )
-_HEIGHTS = ("z", "depth", "height", "elevation", "altitude", "value")
+_EITHER = (("i", "j"), ("j", "i"))
+"""Axes of which some take the first for x, and some for y."""
+_COUNTED = re.compile(r"[cr]\d*|(col|column|row|line|sample)\d+")
+"""Names that say something of their axis only beside those of the other one: columns may be counted so."""
+_HEIGHTS = ("z", "depth", "height", "elevation", "elev", "altitude", "value")
 _SIDES = (
     *(
         (f"{what}{a}", f"{what}{b}")
@@ -48,6 +54,9 @@ _SIDES = (
     ("from", "to"),
     ("left", "right"),
     ("query", "train"),
+    ("before", "after"),
+    ("old", "new"),
+    ("pre", "post"),
 )
 _NO_COORDINATES = {
     *("id", "index", "idx", "no", "nr", "number", "point", "pointid", "name", "label", "time", "timestamp"),
@@ -72,7 +81,7 @@ MATCHES = Layout(
     [
         names
         for sides in _SIDES
-        for axes in (("x", "y"), ("u", "v"), ("col", "row"))
+        for axes in _AXES
         for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
     ],
 )
@@ -188,7 +197,12 @@ def choose(
             return Choice(layout, free[:n], weights)
     names = f" ({', '.join(table.names[k] or 'unnamed' for k in free)})" if table.names else ""
     text = next((f", besides {table.place(0, k)}" for k in range(table.width) if k not in table.numeric), "")
-    given = f"{len(free)} columns{names}{_readings(layouts, len(free))} in {table.where}{text}"
+    headed = [table.names[k] for k in free] if table.names else []
+    might = next(
+        filter(None, (_unclear(headed[: len(one.columns)], one) for one in layouts if one.nameless)), ""
+    )
+    might = might or _readings(layouts, len(free))
+    given = f"{len(free)} columns{names}{might} in {table.where}{text}"
     check.refuse(table.name, _rule(layouts) + more, given)
 
 
@@ -202,17 +216,54 @@ def _named(table: Table, layout: Layout) -> list[int] | None:
         readings = " or ".join(", ".join(spelling) for spelling in fits)
         check.refuse(table.name, _rule([layout]), f"{readings} in {table.where}")
     if twice := [name for name in fits[0] if names.count(name) > 1]:
-        rule = "Names must be of one column each; else say which are meant, by numbers from 1: columns= (--columns)."
+        rule = (
+            "Names must be of one column each; else say which are meant by their numbers from 1, such as "
+            f"{_numbers(layout)}."
+        )
         check.refuse(table.name, rule, f"{twice[0]} twice in {table.where}")
     return [names.index(name) for name in fits[0]]
 
 
 def _contradicts(table: Table, columns: Sequence[int], layout: Layout) -> bool:
-    """Whether a header says that its columns are not these, in this order."""
+    """Whether a header says, or may say, that its columns are not these, in this order."""
+    names = [table.names[column] for column in columns]
+    if _unclear(names, layout):
+        return True
     known = [{spelling[k] for spelling in layout.spellings} for k in range(len(columns))]
-    others = _NO_COORDINATES.union(*known)
-    names = (plain(table.names[column]) for column in columns)
-    return any(name in others - here for name, here in zip(names, known, strict=True))
+    others = {word for word in _NO_COORDINATES.union(*known) if not _COUNTED.fullmatch(word)}
+    return any(plain(name) in others - here for name, here in zip(names, known, strict=True))
+
+
+def _unclear(names: Sequence[str], layout: Layout) -> str:
+    """Say which column may be meant instead of the first, or of one with it, if names contradict the order."""
+    plain_names = [plain(name) for name in names]
+    pairs: list[tuple[int, int, Sequence[tuple[str, str]]]]
+    pairs = [(k, k + 1, (*_AXES, *_EITHER)) for k in range(0, len(names) - 1, 2)]
+    if layout is MATCHES:
+        pairs += [(k, k + 2, _SIDES) for k in range(len(names) - 2)]
+    return next(
+        (
+            f", where {layout.columns[k]} may be {names[k]} or {names[other]},"
+            for k, other, words in pairs
+            if _is_swapped(plain_names[k], plain_names[other], words)
+        ),
+        "",
+    )
+
+
+def _is_swapped(name: str, other: str, pairs: Sequence[tuple[str, str]]) -> bool:
+    """Whether a name differs from another in nothing but that it has the second word of a pair for the first.
+
+    Examples
+    --------
+    >>> _is_swapped("ymin", "xmin", [("x", "y")]), _is_swapped("xmin", "ymin", [("x", "y")])
+    (True, False)
+    """
+    return any(
+        name[: at.start()] + first + name[at.end() :] == other
+        for first, second in pairs
+        for at in re.finditer(second, name)
+    )
 
 
 def _is_index(names: Sequence[str]) -> bool:
@@ -222,12 +273,16 @@ def _is_index(names: Sequence[str]) -> bool:
 
 def _rule(layouts: Sequence[Layout]) -> str:
     named = " or ".join(", ".join(layout.columns) for layout in layouts)
-    nameless = next(layout.columns for layout in layouts if layout.nameless)
-    numbers = ",".join(map(str, range(1, len(nameless) + 1)))
+    nameless = next(layout for layout in layouts if layout.nameless)
     return (
-        f"It must have {len(nameless)} columns ({', '.join(nameless)}), or a header that names {named}; else say which "
-        f"columns are meant, by name or by number from 1, with columns= (such as --columns {numbers})."
+        f"It must have {len(nameless.columns)} columns ({', '.join(nameless.columns)}), or a header that names {named}"
+        f"; else say which columns are meant, by name or by number from 1, such as {_numbers(nameless)}."
     )
+
+
+def _numbers(layout: Layout) -> str:
+    """Write how columns are told by number."""
+    return f"columns={list(range(1, len(layout.columns) + 1))}"
 
 
 def _readings(layouts: Sequence[Layout], width: int) -> str:
@@ -307,14 +362,13 @@ def complete(
     [[1.0, 2.0], [nan, nan], [nan, nan]]
     """
     numbers = table.numbers(columns)
-    gone = np.zeros(len(numbers), dtype=np.bool_) if off is None else off.copy()
-    for value in missing.values:
-        with np.errstate(over="ignore"):  # numbers may have been of either type
-            gone |= ((numbers == value) | (numbers == np.float32(value))).any(axis=1)
+    gone = np.asarray(missing.told(numbers).any(axis=1))
+    if off is not None:
+        gone |= off
     holes = ~np.isfinite(numbers) & ~gone[:, None]
     if not (missing.drop or missing.keep) and holes.any():
         row, column = np.argwhere(holes)[0]
-        rule = 'Cells must be finite numbers; missing="drop" (--missing drop) leaves out the rows of others.'
+        rule = 'Cells must be finite numbers; missing="drop" leaves out the rows of others.'
         check.refuse(table.name, rule, table.place(int(row), columns[column]))
     gone |= holes.any(axis=1)
     if missing.keep:

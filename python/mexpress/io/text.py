@@ -194,6 +194,10 @@ def read_text(path: Path, name: str) -> TextTable:
     if not lines:
         check.refuse(name, "The file must have at least one line of numbers.", f"{where}, which has none")
     separator = _separator(lines[0][1])
+    if len(lines) > 1 and (
+        told := re.fullmatch(r"sep=(\W?)", lines[0][1].strip('"'), re.IGNORECASE)
+    ):  # Excel
+        separator, lines = told[1] or "\t", lines[1:]
     rows = [_split(line, separator) for _, line in lines[:2]]
     names: list[str] = []
     if _is_header(rows):

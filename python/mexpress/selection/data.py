@@ -7,7 +7,7 @@ and surfaces differ in nothing else.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from mexpress.caching import cached_property
 from mexpress.geometry import Region, diagonal, hull
 from mexpress.models import Basis, Design, Surface, Warp, fractional_design, linear_design
 from mexpress.selection import incomplete
-from mexpress.selection.incomplete import RAISE, spread, those
+from mexpress.selection.incomplete import RAISE, filled, filled_weights, spread
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,10 +58,10 @@ class Matches:
         """Check matches: n pairs of points, finite unless missing ones are dropped, whose weight is then 0."""
         known = incomplete.complete_rows(missing, source=source, target=target, weights=weights)
         if known is not None:
-            some = cls.of(those(source, known), those(target, known), image_size, those(weights, known))
-            present_or_not = incomplete.spread_weights(some.weights, known)
-            return cls(
-                spread(some.source, known), spread(some.target, known), present_or_not, some.image_size
+            shares = filled_weights(weights, known)
+            whole = cls.of(filled(source, known), filled(target, known), image_size, shares)
+            return replace(
+                whole, source=spread(whole.source[known], known), target=spread(whole.target[known], known)
             )
         # Copies: models keep their data, whatever becomes of the caller's arrays.
         source, target = check.points(source, "source").copy(), check.points(target, "target").copy()
@@ -146,9 +146,10 @@ class Samples:
         """Check data: n points with a value each, finite unless missing ones are dropped, whose weight is then 0."""
         known = incomplete.complete_rows(missing, points=points, values=values, weights=weights)
         if known is not None:
-            some = cls.of(those(points, known), those(values, known), those(weights, known))
-            present_or_not = incomplete.spread_weights(some.weights, known)
-            return cls(spread(some.points, known), spread(some.values, known), present_or_not)
+            whole = cls.of(filled(points, known), filled(values, known), filled_weights(weights, known))
+            return replace(
+                whole, points=spread(whole.points[known], known), values=spread(whole.values[known], known)
+            )
         points = check.points(points, "points").copy()
         values, shares = check.columns(values, "values", len(points)).copy(), _weights(weights, len(points))
         return cls(points, values, shares)

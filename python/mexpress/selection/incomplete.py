@@ -66,6 +66,8 @@ def complete_rows(missing: str, **arrays: ArrayLike | None) -> NDArray[np.bool_]
             rule = f"It must have as many rows as {first}."
             check.refuse(name, rule, f"{len(masks[name])} for {len(masks[first])}")
     known = np.logical_and.reduce(list(masks.values()))
+    if len(known) and not known.any():
+        check.refuse(first, "There must be rows that are whole.", f"0 of {len(known)}")
     return None if known.all() else known
 
 
@@ -79,9 +81,24 @@ def _finite_rows(array: ArrayLike, name: str) -> NDArray[np.bool_]:
     return np.asarray(there.reshape(len(there), -1).all(axis=1))
 
 
-def those(array: Any, known: NDArray[np.bool_]) -> Any:
-    """Return the rows that are known, if there is an array."""
-    return None if array is None else np.asarray(_beneath(array))[known]
+def filled(array: Any, known: NDArray[np.bool_]) -> Any:
+    """Return an array with its first known row in place of those that are not, so that messages count all rows.
+
+    Examples
+    --------
+    >>> filled([np.nan, 5, 6], np.array([False, True, True]))
+    array([5., 5., 6.])
+    """
+    rows = np.array(_beneath(array))
+    rows[~known] = rows[known.argmax()]
+    return rows
+
+
+def filled_weights(weights: Any, known: NDArray[np.bool_]) -> Any:
+    """Return the weights of all rows: 0 for those that are not known."""
+    rows = np.ones(len(known)) if weights is None else np.array(_beneath(weights))
+    rows[~known] = 0
+    return rows
 
 
 def _beneath(array: Any) -> Any:
@@ -100,8 +117,3 @@ def spread(array: Floats, known: NDArray[np.bool_]) -> Floats:
     all_rows = np.full((len(known), *array.shape[1:]), np.nan)
     all_rows[known] = array
     return all_rows
-
-
-def spread_weights(weights: Floats | None, known: NDArray[np.bool_]) -> Floats:
-    """Return the weights of all rows: 0 for those that are not known."""
-    return np.nan_to_num(spread(np.ones(known.sum()) if weights is None else weights, known))
