@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from matplotlib.image import imsave
+from PIL import Image
 from rasters import png
 
 import mexpress as mx
@@ -311,6 +312,38 @@ def test_apply_refuses_images_that_it_cannot_write(run, tmp_path, model, options
     assert message in errors
     assert {file.name for file in tmp_path.iterdir()} >= {"photo.png"}
     assert not list(tmp_path.glob("aligned*"))
+
+
+@pytest.mark.parametrize("name", ["al.png", "al.JPG", "al.gif"])
+def test_apply_writes_no_points_over_an_image(run, tmp_path, model, name):
+    (tmp_path / "p.csv").write_text("1,2\n")
+    (tmp_path / name).write_bytes(b"an image")
+    status, text, errors = run("apply", model, tmp_path / "p.csv", "--out", tmp_path / name)
+    assert (status, text) == (2, "")
+    assert f"--out must be a table, such as points.csv, for points, not {name}" in errors
+    assert (tmp_path / name).read_bytes() == b"an image"
+
+
+@pytest.mark.parametrize("name", ["photo.gif", "photo.pfm"])
+def test_apply_reads_images_that_it_does_not_write(run, tmp_path, model, name):
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
+    if name.endswith("gif"):
+        Image.fromarray(pixels).save(tmp_path / name)
+    else:
+        rows = pixels[::-1].astype("<f4").tobytes()
+        (tmp_path / name).write_bytes(b"Pf 64 48 -1.0 " + rows)
+    status, _, errors = run("apply", model, tmp_path / name, "--out", tmp_path / "out.tif")
+    assert (status, errors) == (0, "")
+    image = read_image(tmp_path / name)
+    np.testing.assert_array_equal(read_image(tmp_path / "out.tif"), mx.load(model).remap(image))
+
+
+def test_an_image_that_nobody_reads_is_called_an_image(run, tmp_path, model):
+    (tmp_path / "photo.exr").write_bytes(b"\x76\x2f\x31\x01")
+    status, _, errors = run("apply", model, tmp_path / "photo.exr", "--out", tmp_path / "out.tif")
+    assert status == 2
+    assert "Invalid image. It must be a whole image. Endings that are read: .png, .jpg" in errors
+    assert "photo.exr" in errors
 
 
 def test_apply_moves_no_image_by_a_surface(run, tmp_path):

@@ -14,7 +14,7 @@ from mexpress.cli import common
 from mexpress.cli.apply_image import apply_image, whole_size
 from mexpress.geometry import inside
 from mexpress.io import matches
-from mexpress.io.image_writing import is_image
+from mexpress.io.endings import is_image
 from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
@@ -67,6 +67,10 @@ def _run(arguments: argparse.Namespace) -> None:
     if is_image(arguments.points):
         apply_image(model, arguments)
         return
+    if arguments.out is not None and is_image(arguments.out):
+        raise common.UsageError(
+            f"--out must be a table, such as points.csv, for points, not {arguments.out.name}"
+        )
     points = _read(arguments)
     known = np.asarray(np.isfinite(points).all(axis=1))
     if not known.all():

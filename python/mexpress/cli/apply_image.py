@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from mexpress.cli import common
-from mexpress.io.image_writing import IMAGES, is_image, write_image
+from mexpress.io.image_writing import IMAGES, is_writable, write_image
 from mexpress.io.images import read_image
 from mexpress.models.base import Model
 from mexpress.models.warp import Warp
@@ -19,7 +19,7 @@ def apply_image(model: Model, arguments: argparse.Namespace) -> None:
     """Write the image that is moved by a warp, and say how much of it comes from nowhere."""
     if not isinstance(model, Warp):
         raise common.UsageError("an image is moved by a warp, and MODEL is none")
-    if arguments.out is None or not is_image(arguments.out):
+    if arguments.out is None or not is_writable(arguments.out):
         raise common.UsageError(
             f"--out must be given for an image, and end in one of {' '.join(sorted(IMAGES))}"
         )

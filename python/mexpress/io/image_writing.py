@@ -22,12 +22,12 @@ IMAGES = {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".we
 """Endings of images that can be written, whatever their case."""
 
 
-def is_image(path: Path) -> bool:
-    """Tell whether a file's name has the ending of an image.
+def is_writable(path: Path) -> bool:
+    """Tell whether a file's name has the ending of an image that can be written.
 
     Examples
     --------
-    >>> is_image(Path("photo.JPG")), is_image(Path("points.csv"))
+    >>> is_writable(Path("photo.JPG")), is_writable(Path("photo.gif"))
     (True, False)
     """
     return path.suffix.lower() in IMAGES
@@ -67,7 +67,7 @@ def write_image(path: Path, pixels: NDArray[Any], name: str = "path") -> None:
         raise ImportError("Writing images needs Pillow: pip install 'mexpress[image]'") from error
     given = f"{path.name} for shape {pixels.shape} and type {pixels.dtype}"
     rule = "It must end as a format that holds such an image."
-    if not is_image(path):
+    if not is_writable(path):
         check.refuse(name, rule, given)
     Image.init()
     single = pixels.ndim == 3 and pixels.shape[2] == 1
