@@ -67,6 +67,8 @@ def _run(arguments: argparse.Namespace) -> None:
     if is_image(arguments.points):
         apply_image(model, arguments)
         return
+    if arguments.size is not None:
+        raise common.UsageError("--size belongs to an image, and POINTS is none")
     if arguments.out is not None and is_image(arguments.out):
         raise common.UsageError(
             f"--out must be a table, such as points.csv, for points, not {arguments.out.name}"
@@ -80,7 +82,7 @@ def _run(arguments: argparse.Namespace) -> None:
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         if not arguments.inverse:
             _warn_of_gaps(model, points)
-        _warn_doubtful(model, (mapped if arguments.inverse else points)[known], mapped[known])
+        _warn_doubtful(model, points, mapped, arguments.inverse)
     else:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
@@ -143,13 +145,14 @@ def _write(table: Floats, error: Floats | None, path: Path | None) -> None:
         matches.write_points_csv(file, table, columns)
 
 
-def _warn_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
-    total, lost = len(mapped), (~np.isfinite(mapped).all(axis=1)).sum()
-    source = source[np.isfinite(source).all(axis=1)]
+def _warn_doubtful(warp: Warp, points: Floats, mapped: Floats, inverse: bool) -> None:
+    known, there = (np.isfinite(some).all(axis=1) for some in (points, mapped))
+    total, lost = len(points), np.count_nonzero(known & ~there)
+    source = mapped[there] if inverse else points[known]
     common.warn_outside(warp.domain, source, total, "the region of the matches: the warp")
     vanishing = warp.vanishes(source).sum() if len(source) else 0
     if vanishing:
         what = "are where the warp's denominator vanishes, and have no image"
         common.warn(f"{vanishing} of {total} points {what}")
     if lost > vanishing:
-        common.warn(f"{lost - vanishing} of {total} points have no image")
+        common.warn(f"{lost - vanishing} of {total} points have no {'origin' if inverse else 'image'}")

@@ -62,7 +62,8 @@ class Warp(FittedModel):
     `warp.remap(target_image, (width, height), inverse=True)`,
     `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
     `skimage.transform.warp(target_image, warp, output_shape=(height, width))` all resample the target image in the
-    frame of the source image: they read the target image at the image of every source pixel.
+    frame of the source image: they read the target image at the image of every source pixel. Beyond the horizon, where
+    positions are NaN, the first two have their fill or border value; skimage has NaN of orders 1 and 3, and 0 of order 0.
 
     Examples
     --------
@@ -411,7 +412,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (height, width) or (height, width, c)
-            The image in its other frame, of the same type; bilinear between the centres of its pixels.
+            The image in its other frame, of the same type; bilinear between the centres of its pixels. Nothing warns of
+            pixels that are filled, not even if all are, as where the other image's coordinates are metres.
 
         Examples
         --------
