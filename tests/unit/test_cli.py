@@ -364,6 +364,17 @@ def test_warnings_of_apply_count_the_same_points(run, tmp_path):
     assert [line[:23] for line in errors] == [f"mexpress: {n} of 5 points" for n in (1, 2, 2)]
 
 
+def test_the_error_of_a_point_without_an_image_is_nan(run, tmp_path):
+    random = np.random.default_rng(0)
+    source = random.uniform(0, 400, (80, 2))
+    target = source / (1 - source[:, :1] / 600) + random.normal(0, 0.1, source.shape)
+    mx.fit_warp(source, target, source[:3]).save(tmp_path / "warp.npz")
+    (tmp_path / "p.csv").write_text("x,y\n900,100\n200,200\n")
+    lines = run("apply", tmp_path / "warp.npz", tmp_path / "p.csv")[1].splitlines()
+    assert lines[:2] == ["x,y,error", "nan,nan,nan"]
+    assert "nan" not in lines[2]
+
+
 def test_what_nothing_is_mapped_to_has_no_origin(run, tmp_path):
     square = [[0, 0], [1, 0], [0, 1], [1, 1]]
     flat = mx.Warp(ThinPlateSpline(square[:3]), [[0.0, 0], [1, 0], [0, 0]], square)

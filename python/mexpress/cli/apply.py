@@ -81,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> None:
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         if not arguments.inverse:
-            _warn_of_gaps(model, points)
+            _warn_of_gaps(model, np.where(np.isnan(mapped), np.nan, points))
         _warn_doubtful(model, points, mapped, arguments.inverse)
     else:
         if arguments.inverse:
