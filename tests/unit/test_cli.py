@@ -409,6 +409,22 @@ def test_apply_reads_images_that_it_does_not_write(run, tmp_path, model, name):
     np.testing.assert_array_equal(read_image(tmp_path / "out.tif"), mx.load(model).remap(image))
 
 
+@pytest.mark.parametrize("white", [100, 255, 4095, 65535])
+@pytest.mark.parametrize(("kind", "ending"), [("P5", ".pgm"), ("P6", ".ppm")])
+def test_apply_keeps_what_is_white(run, tmp_path, white, kind, ending):
+    shape = (5, 7) if kind == "P5" else (5, 7, 3)
+    pixels = np.random.default_rng(0).integers(0, white + 1, shape).astype("u1" if white < 256 else ">u2")
+    (tmp_path / f"photo{ending}").write_bytes(f"{kind} 7 5 {white}\n".encode() + pixels.tobytes())
+    square = np.array([[0, 0], [4, 0], [0, 4], [4, 4]])
+    mx.fit_warp(square, square, square[:3], fractional=False).save(tmp_path / "same.npz")
+    out = tmp_path / f"out{ending}"
+    assert run("apply", tmp_path / "same.npz", tmp_path / f"photo{ending}", "--out", out)[0] == 0
+    assert out.read_bytes() == f"{kind}\n7 5\n{white}\n".encode() + pixels.tobytes()
+    run("apply", tmp_path / "same.npz", tmp_path / f"photo{ending}", "--out", tmp_path / "out.png")
+    if pixels.dtype == np.uint8 or kind == "P5":  # samples of formats that do not say what is white
+        np.testing.assert_array_equal(read_image(tmp_path / "out.png"), pixels)
+
+
 def test_an_image_that_nobody_reads_is_called_an_image(run, tmp_path, model):
     (tmp_path / "photo.exr").write_bytes(b"\x76\x2f\x31\x01")
     status, _, errors = run("apply", model, tmp_path / "photo.exr", "--out", tmp_path / "out.tif")

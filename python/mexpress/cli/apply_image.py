@@ -10,7 +10,7 @@ import numpy as np
 
 from mexpress.cli import common
 from mexpress.io.image_writing import IMAGES, is_writable, write_image
-from mexpress.io.images import read_image
+from mexpress.io.images import read_raster
 from mexpress.models.base import Model
 from mexpress.models.warp import Warp
 
@@ -25,11 +25,13 @@ def apply_image(model: Model, arguments: argparse.Namespace) -> None:
         )
     if arguments.columns is not None or arguments.missing is not None:
         raise common.UsageError("--columns and --missing belong to points, and POINTS is an image")
-    image = read_image(arguments.points)
+    raster = read_raster(arguments.points, "image")
+    image = raster.upright()
     marked = np.dstack([image, np.ones(image.shape[:2], image.dtype)])  # 0 where the result is filled
     moved = model.remap(marked, arguments.size, inverse=arguments.inverse)
     found = moved[..., -1] != 0
-    write_image(arguments.out, moved[..., :-1].reshape(*found.shape, *image.shape[2:]), "--out")
+    pixels = moved[..., :-1].reshape(*found.shape, *image.shape[2:])
+    write_image(arguments.out, pixels, "--out", raster.white)
     if not found.all():
         elsewhere = (
             ""

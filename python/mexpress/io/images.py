@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress.io.endings import readable
 from mexpress.io.grids import is_grid, read_grid
-from mexpress.io.netpbm import is_netpbm, read_netpbm
+from mexpress.io.netpbm import is_netpbm, netpbm_white, read_netpbm
 from mexpress.io.pillow import orientation_by_pillow, read_by_pillow
 from mexpress.io.raster import Raster
 from mexpress.io.tiff import is_tiff, read_tiff
@@ -89,7 +89,7 @@ def read_raster(path: Path, name: str) -> Raster:
     content = path.read_bytes()
     try:
         if is_netpbm(content):
-            return Raster(read_netpbm(content))
+            return Raster(read_netpbm(content), white=netpbm_white(content))
         if is_grid(content):
             return read_grid(content)
         raster = read_tiff(content) if is_tiff(content) else None

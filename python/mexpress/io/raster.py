@@ -27,12 +27,15 @@ class Raster:
         Whether the file says where on earth its pixels are.
     orientation : int
         How its pixels are to be seen, 1 to 8 as in EXIF: 1 as they stand.
+    white : int, optional
+        The sample that the file says is white, if that need not be the largest of the type.
     """
 
     pixels: NDArray[Any]
     no_data: tuple[float, ...] = ()
     georeferenced: bool = False
     orientation: int = 1
+    white: int | None = None
 
     def upright(self) -> NDArray[Any]:
         """Return the pixels as they are to be seen.
