@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from matplotlib.image import imsave
+from PIL import Image
 from rasters import png
 
 import mexpress as mx
@@ -265,9 +266,13 @@ def test_apply_moves_an_image(run, tmp_path, model, inverse):
     write_image(tmp_path / "photo.PNG", photo)
     command = "apply", model, tmp_path / "photo.PNG", "--out", tmp_path / "aligned.png", "--size", "80x50"
     status, text, errors = run(*command, *(["--inverse"] if inverse else []))
-    assert (status, text, errors) == (0, "", "")
+    assert (status, text) == (0, "")
     expected = mx.load(model).remap(photo, (80, 50), inverse=inverse)
     assert expected.any()
+    marks = mx.load(model).remap(np.ones((48, 64)), (80, 50), inverse=inverse, fill=np.nan)
+    lost = np.isnan(marks).sum()
+    assert 0 < lost < 4000
+    assert errors == f"mexpress: {lost} of 4000 pixels come from nowhere in the image, and are 0\n"
     np.testing.assert_array_equal(read_image(tmp_path / "aligned.png"), expected)
 
 
@@ -286,7 +291,7 @@ def test_apply_tells_which_pixels_come_from_nowhere(run, tmp_path):
     )
     status, text, errors = run(*command)
     assert (status, text) == (0, "")
-    assert errors == "mexpress: 20 of 24 pixels have no image, and are 0\n"
+    assert errors == "mexpress: 21 of 24 pixels come from nowhere in the image, and are 0\n"
     assert (read_image(tmp_path / "out.tif")[:, 1:] == 0).all()
 
 
@@ -311,6 +316,121 @@ def test_apply_refuses_images_that_it_cannot_write(run, tmp_path, model, options
     assert message in errors
     assert {file.name for file in tmp_path.iterdir()} >= {"photo.png"}
     assert not list(tmp_path.glob("aligned*"))
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_apply_tells_where_an_image_is_that_is_not_in_the_result(run, tmp_path, inverse, channels):
+    square = np.array([[0, 0], [100, 0], [0, 100], [100, 100]])
+    utm = square * [0.5, -0.5] + [500_000, 5_000_000]
+    mx.fit_warp(square, utm, square[:3], fractional=False).save(tmp_path / "utm.npz")
+    write_image(tmp_path / "photo.png", np.full((48, 64, *channels), 9, np.uint8))
+    command = "apply", tmp_path / "utm.npz", tmp_path / "photo.png", "--out", tmp_path / "out.png"
+    status, _, errors = run(*command, *(["--inverse"] if inverse else []))
+    lost = "3072 of 3072 pixels come from nowhere in the image, and are 0"
+    what = "they would be at" if inverse else "it is moved to"
+    expected = f"{lost}: {what} x 500000 to 500031.5, y 4999976.5 to 5000000"
+    assert (status, errors) == (0, f"mexpress: {expected}\n")
+    assert read_image(tmp_path / "out.png").shape == (48, 64, *channels)
+    assert not read_image(tmp_path / "out.png").any()
+
+
+@pytest.mark.parametrize(
+    ("file", "options", "message"),
+    [
+        ("p.csv", ["--size", "6x4"], "--size belongs to an image, and POINTS is none"),
+        (
+            "photo.png",
+            ["--columns", "1,2"],
+            "--columns and --missing belong to points, and POINTS is an image",
+        ),
+        ("photo.png", ["--missing", "0"], "--columns and --missing belong to points, and POINTS is an image"),
+    ],
+)
+def test_apply_ignores_no_option(run, tmp_path, model, file, options, message):
+    (tmp_path / "p.csv").write_text("1,2\n")
+    write_image(tmp_path / "photo.png", np.full((4, 6), 9, np.uint8))
+    status, text, errors = run("apply", model, tmp_path / file, "--out", tmp_path / "out.tif", *options)
+    assert (status, text, (tmp_path / "out.tif").exists()) == (2, "", False)
+    assert message in errors
+
+
+def test_warnings_of_apply_count_the_same_points(run, tmp_path):
+    spline = ThinPlateSpline([[0, 0], [1, 0], [0, 1]])
+    parameters = np.column_stack([[1.0, 2, 1], [1.0, 1, 2], [1.0, 0, 1]])  # the denominator is 1 - x
+    mx.Warp(spline, parameters, [[0, 0], [0.5, 0], [0, 0.5]]).save(tmp_path / "horizon.npz")
+    (tmp_path / "p.csv").write_text("x,y\n0.1,0.1\nnan,0\n2,0\n3,0\n0.2,0.2\n")
+    errors = run("apply", tmp_path / "horizon.npz", tmp_path / "p.csv")[2].splitlines()
+    assert [line[:23] for line in errors] == [f"mexpress: {n} of 5 points" for n in (1, 2, 2)]
+
+
+def test_the_error_of_a_point_without_an_image_is_nan(run, tmp_path):
+    random = np.random.default_rng(0)
+    source = random.uniform(0, 400, (80, 2))
+    target = source / (1 - source[:, :1] / 600) + random.normal(0, 0.1, source.shape)
+    mx.fit_warp(source, target, source[:3]).save(tmp_path / "warp.npz")
+    (tmp_path / "p.csv").write_text("x,y\n900,100\n200,200\n")
+    lines = run("apply", tmp_path / "warp.npz", tmp_path / "p.csv")[1].splitlines()
+    assert lines[:2] == ["x,y,error", "nan,nan,nan"]
+    assert "nan" not in lines[2]
+
+
+def test_what_nothing_is_mapped_to_has_no_origin(run, tmp_path):
+    square = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    flat = mx.Warp(ThinPlateSpline(square[:3]), [[0.0, 0], [1, 0], [0, 0]], square)
+    flat.save(tmp_path / "flat.npz")
+    (tmp_path / "p.csv").write_text("x,y\n0.5,3\nnan,0\n")
+    _, text, errors = run("apply", tmp_path / "flat.npz", tmp_path / "p.csv", "--inverse")
+    assert text.splitlines()[1:] == ["nan,nan", "nan,nan"]
+    assert "mexpress: 1 of 2 points have no origin" in errors
+
+
+@pytest.mark.parametrize("name", ["al.png", "al.JPG", "al.gif"])
+def test_apply_writes_no_points_over_an_image(run, tmp_path, model, name):
+    (tmp_path / "p.csv").write_text("1,2\n")
+    (tmp_path / name).write_bytes(b"an image")
+    status, text, errors = run("apply", model, tmp_path / "p.csv", "--out", tmp_path / name)
+    assert (status, text) == (2, "")
+    assert f"--out must be a table, such as points.csv, for points, not {name}" in errors
+    assert (tmp_path / name).read_bytes() == b"an image"
+
+
+@pytest.mark.parametrize("name", ["photo.gif", "photo.pfm"])
+def test_apply_reads_images_that_it_does_not_write(run, tmp_path, model, name):
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
+    if name.endswith("gif"):
+        Image.fromarray(pixels).save(tmp_path / name)
+    else:
+        rows = pixels[::-1].astype("<f4").tobytes()
+        (tmp_path / name).write_bytes(b"Pf 64 48 -1.0 " + rows)
+    status, _, errors = run("apply", model, tmp_path / name, "--out", tmp_path / "out.tif")
+    assert (status, errors.count("\n")) == (0, 1)  # some pixels come from nowhere
+    image = read_image(tmp_path / name)
+    np.testing.assert_array_equal(read_image(tmp_path / "out.tif"), mx.load(model).remap(image))
+
+
+@pytest.mark.parametrize("white", [100, 255, 4095, 65535])
+@pytest.mark.parametrize(("kind", "ending"), [("P5", ".pgm"), ("P6", ".ppm")])
+def test_apply_keeps_what_is_white(run, tmp_path, white, kind, ending):
+    shape = (5, 7) if kind == "P5" else (5, 7, 3)
+    pixels = np.random.default_rng(0).integers(0, white + 1, shape).astype("u1" if white < 256 else ">u2")
+    (tmp_path / f"photo{ending}").write_bytes(f"{kind} 7 5 {white}\n".encode() + pixels.tobytes())
+    square = np.array([[0, 0], [4, 0], [0, 4], [4, 4]])
+    mx.fit_warp(square, square, square[:3], fractional=False).save(tmp_path / "same.npz")
+    out = tmp_path / f"out{ending}"
+    assert run("apply", tmp_path / "same.npz", tmp_path / f"photo{ending}", "--out", out)[0] == 0
+    assert out.read_bytes() == f"{kind}\n7 5\n{white}\n".encode() + pixels.tobytes()
+    run("apply", tmp_path / "same.npz", tmp_path / f"photo{ending}", "--out", tmp_path / "out.png")
+    if pixels.dtype == np.uint8 or kind == "P5":  # samples of formats that do not say what is white
+        np.testing.assert_array_equal(read_image(tmp_path / "out.png"), pixels)
+
+
+def test_an_image_that_nobody_reads_is_called_an_image(run, tmp_path, model):
+    (tmp_path / "photo.exr").write_bytes(b"\x76\x2f\x31\x01")
+    status, _, errors = run("apply", model, tmp_path / "photo.exr", "--out", tmp_path / "out.tif")
+    assert status == 2
+    assert "Invalid image. It must be a whole image. Endings that are read: .png, .jpg" in errors
+    assert "photo.exr" in errors
 
 
 def test_apply_moves_no_image_by_a_surface(run, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mexpress.io.image_writing import IMAGES, is_image, write_image
+from mexpress.io.image_writing import IMAGES, is_writable, write_image
 
 RNG = np.random.default_rng(0)
 GRAY = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
@@ -15,7 +15,7 @@ COLOUR = RNG.integers(0, 256, (5, 7, 3), dtype=np.uint8)
 def test_every_ending_holds_colours(tmp_path, ending):
     path = tmp_path / f"image{ending.upper()}"
     write_image(path, COLOUR)
-    assert is_image(path)
+    assert is_writable(path)
     with Image.open(path) as image:
         read = np.asarray(image)
     if ending in {".jpg", ".jpeg", ".webp"}:  # these lose some

@@ -4,11 +4,14 @@ import io
 import struct
 import sys
 
+import cv2
 import numpy as np
 import PIL.Image
+import PIL.ImageOps
 import pytest
 from rasters import png, tiff
 
+from mexpress.io.images import read_image, read_raster
 from mexpress.io.pillow import read_by_pillow
 
 RANDOM = np.random.default_rng(0)
@@ -101,3 +104,28 @@ def test_without_pillow_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(ImportError, match=r"mexpress\[image\]"):
         read_by_pillow(png(np.ones((3, 4), np.uint8)))
+
+
+@pytest.mark.parametrize("orientation", [None, *range(10)])
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_photographs_are_turned_as_viewers_do_and_depth_maps_are_not(tmp_path, orientation, kind):
+    colours = np.repeat(
+        np.repeat(RANDOM.integers(0, 256, (2, 3, 3)).astype(np.uint8), 16, axis=0), 16, axis=1
+    )
+    exif = PIL.Image.Exif()
+    if orientation is not None:
+        exif[0x0112] = orientation
+    path = tmp_path / "photo"
+    path.write_bytes(saved(PIL.Image.fromarray(colours), kind, exif=exif))
+    with PIL.Image.open(path) as image:
+        raw, seen = np.array(image), np.array(PIL.ImageOps.exif_transpose(image))
+    np.testing.assert_array_equal(read_image(path), seen)
+    np.testing.assert_array_equal(read_raster(path, "cloud").pixels, raw)
+    if kind == "JPEG":
+        np.testing.assert_array_equal(read_image(path)[..., ::-1], cv2.imread(str(path)))
+
+
+def test_damaged_exif_data_say_nothing(tmp_path):
+    path = tmp_path / "photo.jpg"
+    path.write_bytes(saved(PIL.Image.new("L", (3, 2)), "JPEG", exif=b"Exif\0\0MM\0*"))
+    assert read_image(path).shape == (2, 3)

@@ -11,6 +11,7 @@ from sklearn.isotonic import IsotonicRegression
 
 import mexpress as mx
 from mexpress.geometry import Region
+from mexpress.liftings import LIFTINGS
 from mexpress.models import ErrorCurve, ErrorCurves, Observations
 from mexpress.models import error_curves as curves_module
 from mexpress.models.error_curves import increasing
@@ -48,6 +49,32 @@ EVERY = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 
 def without_data(model):
     return type(model)(model.lifting, model.parameters, model.domain, model.smoothing)
+
+
+# Beyond the horizon
+
+
+@pytest.mark.parametrize("lifting", LIFTINGS)
+def test_where_a_warp_has_no_value_it_has_no_error_interval_or_slope(lifting):
+    source = RANDOM.uniform(0, 400, (150, 2))
+    target = source * [0.5, 0.8] / (1 - source[:, :1] / 600) + RANDOM.normal(0, 0.1, source.shape)
+    warp = mx.fit_warp(source, target, LIFTINGS[lifting].place(source, 4), lifting, smoothing=1e-3)
+    points = np.array([[200.0, 200], [np.nan, 0], [450, 100], [900, 200], [2000, -100], [100, 300]])
+    beyond = np.isnan(warp(points)).any(axis=1)
+    np.testing.assert_array_equal(
+        beyond[[0, 1, 4, 5]], [False, True, True, False]
+    )  # far off, liftings differ
+    interval = warp.interval(points)
+    for values in (warp.error(points), interval.lower, interval.upper, warp.jacobian(points)):
+        everywhere = np.isnan(values.reshape(len(points), -1))
+        np.testing.assert_array_equal(everywhere, np.broadcast_to(beyond[:, None], everywhere.shape))
+    np.testing.assert_array_equal(warp.covers(points), [True, False, False, False, False, True])
+    assert np.isfinite(warp.denominator(points[[0, 2, 3, 4, 5]])).all()
+    near = warp.jacobian(points[:1])[0]
+    steps = np.array([[1e-4, 0], [0, 1e-4]])
+    np.testing.assert_allclose(
+        near.T, (warp(points[0] + steps) - warp(points[0] - steps)) / 2e-4, rtol=1e-5, atol=1e-6
+    )
 
 
 # The data

@@ -14,7 +14,7 @@ from mexpress.cli import common
 from mexpress.cli.apply_image import apply_image, whole_size
 from mexpress.geometry import inside
 from mexpress.io import matches
-from mexpress.io.image_writing import is_image
+from mexpress.io.endings import is_image
 from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
@@ -67,6 +67,12 @@ def _run(arguments: argparse.Namespace) -> None:
     if is_image(arguments.points):
         apply_image(model, arguments)
         return
+    if arguments.size is not None:
+        raise common.UsageError("--size belongs to an image, and POINTS is none")
+    if arguments.out is not None and is_image(arguments.out):
+        raise common.UsageError(
+            f"--out must be a table, such as points.csv, for points, not {arguments.out.name}"
+        )
     points = _read(arguments)
     known = np.asarray(np.isfinite(points).all(axis=1))
     if not known.all():
@@ -75,8 +81,8 @@ def _run(arguments: argparse.Namespace) -> None:
         mapped = model.inverse(points) if arguments.inverse else model(points)
         _write(mapped, None if arguments.inverse else _error(model, points), arguments.out)
         if not arguments.inverse:
-            _warn_of_gaps(model, points)
-        _warn_doubtful(model, (mapped if arguments.inverse else points)[known], mapped[known])
+            _warn_of_gaps(model, np.where(np.isnan(mapped), np.nan, points))
+        _warn_doubtful(model, points, mapped, arguments.inverse)
     else:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
@@ -139,13 +145,14 @@ def _write(table: Floats, error: Floats | None, path: Path | None) -> None:
         matches.write_points_csv(file, table, columns)
 
 
-def _warn_doubtful(warp: Warp, source: Floats, mapped: Floats) -> None:
-    total, lost = len(mapped), (~np.isfinite(mapped).all(axis=1)).sum()
-    source = source[np.isfinite(source).all(axis=1)]
+def _warn_doubtful(warp: Warp, points: Floats, mapped: Floats, inverse: bool) -> None:
+    known, there = (np.isfinite(some).all(axis=1) for some in (points, mapped))
+    total, lost = len(points), np.count_nonzero(known & ~there)
+    source = mapped[there] if inverse else points[known]
     common.warn_outside(warp.domain, source, total, "the region of the matches: the warp")
     vanishing = warp.vanishes(source).sum() if len(source) else 0
     if vanishing:
         what = "are where the warp's denominator vanishes, and have no image"
         common.warn(f"{vanishing} of {total} points {what}")
     if lost > vanishing:
-        common.warn(f"{lost - vanishing} of {total} points have no image")
+        common.warn(f"{lost - vanishing} of {total} points have no {'origin' if inverse else 'image'}")

@@ -18,6 +18,25 @@ _READ = {
     "cloud": ".png, .tif, .pgm, .pfm, .asc, .npy, .npz, .ply, .parquet, or text such as .csv, .txt and .xyz",
     "image": ".png, .jpg and whatever else Pillow knows, .tif, .pgm, .ppm or .pfm",
 }
+_IMAGES = {
+    *(
+        ".bmp",
+        ".exr",
+        ".gif",
+        ".jp2",
+        ".jpeg",
+        ".jpg",
+        ".pbm",
+        ".pfm",
+        ".pgm",
+        ".png",
+        ".pnm",
+        ".ppm",
+        ".tif",
+        ".tiff",
+    ),
+    ".webp",
+}
 _PDAL = "pdal translate {file} {stem}.ply makes a .ply"
 _ARRAYS = "{library} reads it in Python, and numpy.savez writes its arrays to an .npz"
 _MESH = "save it as .ply, as MeshLab, CloudCompare and Open3D can"
@@ -37,6 +56,17 @@ _FOREIGN = {
     **dict.fromkeys([".xls", ".xlsx", ".ods"], _SHEET),
     **dict.fromkeys([".jpg", ".jpeg"], "JPEG changes numbers: save depths as .png of 16 bits or as .tif"),
 }
+
+
+def is_image(path: Path) -> bool:
+    """Tell whether a file's name has the ending of an image, which may be one that is not read or not written.
+
+    Examples
+    --------
+    >>> is_image(Path("photo.JPG")), is_image(Path("points.csv"))
+    (True, False)
+    """
+    return path.suffix.lower() in _IMAGES
 
 
 def readable(name: str) -> str:

@@ -17,23 +17,27 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress.io.archives import replacing
+from mexpress.io.netpbm import netpbm
 
 IMAGES = {".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"}
 """Endings of images that can be written, whatever their case."""
 
 
-def is_image(path: Path) -> bool:
-    """Tell whether a file's name has the ending of an image.
+_NETPBM = {".pgm", ".ppm"}
+
+
+def is_writable(path: Path) -> bool:
+    """Tell whether a file's name has the ending of an image that can be written.
 
     Examples
     --------
-    >>> is_image(Path("photo.JPG")), is_image(Path("points.csv"))
+    >>> is_writable(Path("photo.JPG")), is_writable(Path("photo.gif"))
     (True, False)
     """
     return path.suffix.lower() in IMAGES
 
 
-def write_image(path: Path, pixels: NDArray[Any], name: str = "path") -> None:
+def write_image(path: Path, pixels: NDArray[Any], name: str = "path", white: int | None = None) -> None:
     """Write an image in the format that the file's name ends with.
 
     Parameters
@@ -45,6 +49,8 @@ def write_image(path: Path, pixels: NDArray[Any], name: str = "path") -> None:
         uint16 and float32 suit some if gray.
     name : str
         What messages call the file.
+    white : int, optional
+        The sample that is white, by default the largest of the type. PGM and PPM say so; other formats cannot.
 
     Raises
     ------
@@ -67,12 +73,17 @@ def write_image(path: Path, pixels: NDArray[Any], name: str = "path") -> None:
         raise ImportError("Writing images needs Pillow: pip install 'mexpress[image]'") from error
     given = f"{path.name} for shape {pixels.shape} and type {pixels.dtype}"
     rule = "It must end as a format that holds such an image."
-    if not is_image(path):
+    if not is_writable(path):
         check.refuse(name, rule, given)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if white is not None and path.suffix.lower() in _NETPBM:
+        with replacing(path) as file:
+            file.write(netpbm(pixels, white))
+        return
     Image.init()
-    single = pixels.ndim == 3 and pixels.shape[2] == 1
     try:
-        image = Image.fromarray(np.ascontiguousarray(pixels[:, :, 0] if single else pixels))
+        image = Image.fromarray(np.ascontiguousarray(pixels))
         with replacing(path) as file:
             image.save(file, Image.EXTENSION[path.suffix.lower()])
     except (TypeError, KeyError):  # no mode has these numbers, or this Pillow does not write the format

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress.io.endings import readable
 from mexpress.io.grids import is_grid, read_grid
-from mexpress.io.netpbm import is_netpbm, read_netpbm
-from mexpress.io.pillow import read_by_pillow
+from mexpress.io.netpbm import is_netpbm, netpbm_white, read_netpbm
+from mexpress.io.pillow import orientation_by_pillow, read_by_pillow
 from mexpress.io.raster import Raster
 from mexpress.io.tiff import is_tiff, read_tiff
 
@@ -37,7 +37,7 @@ def read_image(path: Path, name: str = "image") -> NDArray[Any]:
     Returns
     -------
     ndarray, (height, width) or (height, width, channels)
-        The samples, in the file's own type.
+        The samples, in the file's own type, turned and mirrored as EXIF data say, as viewers and `cv2.imread` do.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def read_image(path: Path, name: str = "image") -> NDArray[Any]:
     ...     read_image(Path(f"{folder}/colour.ppm")).shape
     (1, 2, 3)
     """
-    return read_raster(path, name).pixels
+    return read_raster(path, name).upright()
 
 
 def read_raster(path: Path, name: str) -> Raster:
@@ -71,6 +71,7 @@ def read_raster(path: Path, name: str) -> Raster:
     -------
     Raster
         What means no data is said by GeoTIFF and by ESRI's grids, and so is whether there is a place on earth.
+        Pixels are not turned.
 
     Raises
     ------
@@ -88,9 +89,10 @@ def read_raster(path: Path, name: str) -> Raster:
     content = path.read_bytes()
     try:
         if is_netpbm(content):
-            return Raster(read_netpbm(content))
+            return Raster(read_netpbm(content), white=netpbm_white(content))
         if is_grid(content):
             return read_grid(content)
-        return (read_tiff(content) if is_tiff(content) else None) or Raster(read_by_pillow(content))
+        raster = read_tiff(content) if is_tiff(content) else None
+        return raster or Raster(read_by_pillow(content), orientation=orientation_by_pillow(content))
     except ValueError as error:
         check.refuse(name, f"It must be a whole image. {readable(name)}", f"{path.name}: {error}")

@@ -81,6 +81,38 @@ def read_netpbm(content: bytes) -> NDArray[Any]:
     return samples.reshape(shape)[:: -1 if kind in b"fF" else 1]
 
 
+def netpbm_white(content: bytes) -> int | None:
+    """Return the largest sample that a PGM or PPM file allows, which is white; None of floats.
+
+    Examples
+    --------
+    >>> netpbm_white(b"P2 3 2 4095 1500 1501 1502 0 4095 7")
+    4095
+    """
+    header = _HEADER.match(content)
+    return None if header is None or header[1] in b"fF" else int(as_numbers([header[4]])[0])
+
+
+def netpbm(pixels: NDArray[Any], white: int) -> bytes:
+    """Return a PGM or PPM file.
+
+    Parameters
+    ----------
+    pixels : ndarray, (height, width) or (height, width, 3)
+        Whole numbers from 0 to white, as they come to stand in the file.
+    white : int
+        The largest sample that the file allows, at most 65535.
+
+    Examples
+    --------
+    >>> netpbm(np.array([[65, 66]], np.uint8), 100).split()
+    [b'P5', b'2', b'1', b'100', b'AB']
+    """
+    height, width = pixels.shape[:2]
+    header = f"P{5 if pixels.ndim == 2 else 6}\n{width} {height}\n{white}\n"
+    return header.encode() + pixels.astype("u1" if white < 256 else ">u2").tobytes()
+
+
 def _take(body: bytes, kind: np.dtype[Any], count: int) -> NDArray[Any]:
     if count * kind.itemsize > len(body):
         raise ValueError(f"it has {len(body)} bytes of samples, not {count * kind.itemsize}")

@@ -21,6 +21,7 @@ _PLAIN = {"1", "L", "LA", "RGB", "RGBA"}
 _PALETTES = {"P", "PA"}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GRAY = 0
+_ORIENTATION = 0x0112
 
 
 def pillow() -> ModuleType:
@@ -93,3 +94,21 @@ def read_by_pillow(content: bytes) -> NDArray[Any]:
     if bits in {2, 4} and mode == "L":
         samples //= 255 // (2**bits - 1)  # Pillow stretches them to 8 bits
     return samples
+
+
+def orientation_by_pillow(content: bytes) -> int:
+    """Return how an image is to be seen, by its EXIF data: 1 to 8, and 1 if nothing there says.
+
+    Examples
+    --------
+    >>> file = io.BytesIO()
+    >>> pillow().new("L", (3, 2)).save(file, "JPEG")
+    >>> orientation_by_pillow(file.getvalue())
+    1
+    """
+    try:
+        with pillow().open(io.BytesIO(content)) as image:
+            orientation = image.getexif().get(_ORIENTATION, 1)
+    except Exception:  # damaged EXIF data say nothing, and the image is read all the same
+        return 1
+    return orientation if orientation in range(1, 9) else 1

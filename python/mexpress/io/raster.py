@@ -25,11 +25,31 @@ class Raster:
         Values that the file itself says mean no data.
     georeferenced : bool
         Whether the file says where on earth its pixels are.
+    orientation : int
+        How its pixels are to be seen, 1 to 8 as in EXIF: 1 as they stand.
+    white : int, optional
+        The sample that the file says is white, if that need not be the largest of the type.
     """
 
     pixels: NDArray[Any]
     no_data: tuple[float, ...] = ()
     georeferenced: bool = False
+    orientation: int = 1
+    white: int | None = None
+
+    def upright(self) -> NDArray[Any]:
+        """Return the pixels as they are to be seen.
+
+        Examples
+        --------
+        >>> Raster(np.array([[1, 2, 3], [4, 5, 6]]), orientation=6).upright()  # turned to the right
+        array([[4, 1],
+               [5, 2],
+               [6, 3]])
+        """
+        turned = np.swapaxes(self.pixels, 0, 1) if self.orientation > 4 else self.pixels
+        down, across = self.orientation % 4 in {0, 3}, self.orientation % 4 in {2, 3}
+        return turned[:: -1 if down else 1, :: -1 if across else 1]
 
     def __repr__(self) -> str:
         height, width = np.shape(self.pixels)[:2]

@@ -56,6 +56,10 @@ class FittedModel(Model):
     def _units(self, points: Floats) -> Floats:
         """What residuals of the design at points are divided by to be differences of values, (k,)."""
 
+    def _meaningful(self, points: ArrayLike) -> Floats:
+        """Return positions, NaN where the model has no value."""
+        return check.queries(points, "points")
+
     def error(self, points: ArrayLike) -> Floats:
         """Return the error to expect at points, from the distance to the nearest datum.
 
@@ -75,7 +79,7 @@ class FittedModel(Model):
             Root mean square difference of a measurement there from the model, in the unit of the values: the noise of a
             measurement is in it. Of d values it is the norm of the difference; that of one value is smaller by a factor
             of sqrt(d) if all differ alike. Infinite if no datum can be predicted from the others, NaN where a position
-            is not known.
+            is not known, and where a warp vanishes.
 
         Raises
         ------
@@ -104,7 +108,7 @@ class FittedModel(Model):
         """
         data = self._known("error").points
         return row_by_row(
-            check.queries(points, "points"),
+            self._meaningful(points),
             lambda known: self.error_curves(nearest(known, data)[1], self._inside(known)),
         )
 
@@ -120,7 +124,7 @@ class FittedModel(Model):
         -------
         ndarray of bool, (k,)
             True inside the convex hull of the data if the nearest datum is not farther than in the predictions that
-            `error` rests on; False where a position is not known.
+            `error` rests on; False where a position is not known, and where a warp vanishes.
 
         Raises
         ------
@@ -140,7 +144,7 @@ class FittedModel(Model):
             distance = nearest(known, data)[1]
             return self._inside(known) & (distance <= tested.reach) & np.isfinite(tested(distance))
 
-        return row_by_row(check.queries(points, "points"), covered, unknown=False)
+        return row_by_row(self._meaningful(points), covered, unknown=False)
 
     def interval(self, points: ArrayLike, level: float = 0.9) -> Interval:
         """Return an interval for a measurement at each point by jackknife+, from all leave-one-out models.
@@ -157,7 +161,7 @@ class FittedModel(Model):
         Interval
             Bounds in the shape of the values, (k,) or (k, d). They are infinite if 1 / alpha - 1 data are not there,
             or if too many data are such that the others do not determine the model. NaN where a position is not
-            known.
+            known, and where a warp vanishes.
 
         Raises
         ------
@@ -191,7 +195,7 @@ class FittedModel(Model):
         >>> round(float(np.mean((interval.lower <= values) & (values <= interval.upper))), 2)
         0.89
         """
-        points = check.queries(points, "points")
+        points = self._meaningful(points)
         rule = "It must be between 0 and 1, such as 0.95 for 95 %."
         share = check.number(level, "level", rule, 0.0, strict=True)
         if share >= 1:

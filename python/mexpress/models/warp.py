@@ -62,7 +62,8 @@ class Warp(FittedModel):
     `warp.remap(target_image, (width, height), inverse=True)`,
     `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
     `skimage.transform.warp(target_image, warp, output_shape=(height, width))` all resample the target image in the
-    frame of the source image: they read the target image at the image of every source pixel.
+    frame of the source image: they read the target image at the image of every source pixel. Beyond the horizon, where
+    positions are NaN, the first two have their fill or border value; skimage has NaN, but 0 with order 0.
 
     Examples
     --------
@@ -145,8 +146,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (k, 2, 2)
-            Element [i, a, b] is d target_a / d source_b at point i; infinite or NaN where the denominator is
-            exactly zero, NaN where a position is not known.
+            Element [i, a, b] is d target_a / d source_b at point i; NaN where the warp vanishes, and where a position
+            is not known.
 
         Examples
         --------
@@ -156,7 +157,7 @@ class Warp(FittedModel):
         >>> warp.jacobian([[50, 50]]).round(6) + 0.0
         array([[[2., 0.], [0., 1.]]])
         """
-        return row_by_row(check.queries(points, "points"), self._jacobian)
+        return row_by_row(self._meaningful(points), self._jacobian)
 
     def denominator(self, points: ArrayLike) -> Floats:
         """Return the denominator nu . p_3 at points of the source image; ones for a warp without a denominator.
@@ -169,7 +170,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (k,)
-            Values without a unit; the parameters have mean 1. NaN where a position is not known.
+            Values without a unit; the parameters have mean 1. They are numbers where the warp vanishes too, since they
+            tell where that is. NaN where a position is not known.
 
         Examples
         --------
@@ -411,7 +413,8 @@ class Warp(FittedModel):
         Returns
         -------
         ndarray, (height, width) or (height, width, c)
-            The image in its other frame, of the same type; bilinear between the centres of its pixels.
+            The image in its other frame, of the same type; bilinear between the centres of its pixels. Nothing warns of
+            pixels that are filled, not even if all are, as where the other image's coordinates are metres.
 
         Examples
         --------
@@ -455,6 +458,13 @@ class Warp(FittedModel):
     def _units(self, points: Floats) -> Floats:
         # An algebraic error is the transfer error times the denominator.
         return np.abs(self._denominator(points))
+
+    def _meaningful(self, points: ArrayLike) -> Floats:
+        positions = super()._meaningful(points)
+        if not self.fractional:
+            return positions
+        lost = np.isnan(row_by_row(positions, self._image)).any(axis=1)
+        return np.where(lost[:, None], np.nan, positions)
 
     def _denominator(self, points: Floats) -> Floats:
         if not self.fractional:
