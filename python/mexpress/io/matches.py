@@ -57,8 +57,8 @@ def read_matches(
           unless these separate. Lines that begin with #, % or // are comments, and so is what follows a blank and #.
           Words before and after the numbers are labels. "-" is standard input.
         * `.npy`: one (n, 4) array, or one with fields. `.npz`: arrays `source` and `target`, or `mkpts0` and `mkpts1`,
-          (n, 2) each; or one array as in `.npy`, which is named `matches` or `tentative` if there are others; or those of
-          a matcher, `keypoints0`, `keypoints1`, and `matches` or `matches0`, see `mexpress.io.keypoints.matches_of`.
+          (n, 2) each; or one array as in `.npy`, which is named `matches` or `tentative` if there are others; or those
+          of a matcher, `keypoints0`, `keypoints1`, and `matches` or `matches0`, see `mexpress.io.keypoints.matches_of`.
         * `.parquet`, with the extra ``parquet``.
         * A frame of pandas or polars.
         * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
