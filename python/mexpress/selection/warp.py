@@ -46,8 +46,9 @@ class WarpSelection(FittedSelection[Warp]):
     --------
     >>> import mexpress as mx
     >>> import numpy as np
-    >>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
-    >>> selection = mx.select_warp(source, 2 * source + 1)
+    >>> rng = np.random.default_rng(0)
+    >>> source = rng.uniform(0, 100, (20, 2))
+    >>> selection = mx.select_warp(source, 2 * source + rng.normal(size=source.shape))
     >>> selection.rival, selection.warp
     ('affine map', Warp(tps, 3 control points))
     >>> figure = selection.plot()  # of matplotlib
