@@ -35,6 +35,11 @@ impl Problem<'_> {
         }
     }
 
+    /// Rows of `[A; Z]`.
+    fn total_rows(&self) -> usize {
+        self.rows + self.penalty.len() / self.columns
+    }
+
     /// Responses of row `i`; none of a penalty row.
     fn responses_of(&self, i: usize, count: usize) -> &[f64] {
         self.responses.get(i * count..(i + 1) * count).unwrap_or_default()
@@ -49,7 +54,7 @@ impl Problem<'_> {
 
     fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
         let responses = self.responses.len() / self.rows;
-        let mut all = vec![0; self.rows + self.penalty.len() / self.columns];
+        let mut all = vec![0; self.total_rows()];
         let parts = all.chunks_mut(LEAF_ROWS).enumerate();
         pool.run(
             parts,
@@ -67,7 +72,7 @@ impl Problem<'_> {
     fn unit_scales(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         let powers = column_scales(self, pool)?;
         let mut squares = vec![0.0; self.columns];
-        for i in 0..self.rows + self.penalty.len() / self.columns {
+        for i in 0..self.total_rows() {
             let (row, weight) = self.row(i);
             for ((square, a), power) in squares.iter_mut().zip(row).zip(&powers) {
                 *square += (a * power * weight).powi(2);
@@ -185,7 +190,7 @@ impl Factor {
             columns,
             responses,
             rank,
-            total_rows: rows + problem.penalty.len() / columns,
+            total_rows: problem.total_rows(),
             basis,
             triangle: Vec::new(),
             least: 0.0,
@@ -424,7 +429,7 @@ fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Err
 /// `[W^1/2 b; 0]`.
 pub(crate) fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec<f64> {
     let mut b = problem.responses.to_vec();
-    b.resize((problem.rows + problem.penalty.len() / problem.columns) * responses, 0.0);
+    b.resize(problem.total_rows() * responses, 0.0);
     if let (Some(weights), true) = (problem.root_weights, responses > 0) {
         for (row, w) in b.chunks_exact_mut(responses).zip(weights) {
             row.iter_mut().for_each(|x| *x *= w);
@@ -445,7 +450,7 @@ struct Leaves {
 impl Leaves {
     fn factor(problem: &Problem<'_>, scales: &[f64], pool: &Pool<'_>) -> Result<Self, Error> {
         let columns = problem.columns;
-        let rows = problem.rows + problem.penalty.len() / columns;
+        let rows = problem.total_rows();
         let block = block_rows(columns).min(rows);
         let count = rows.div_ceil(block);
         let size = linalg::reflector_size(block, columns);
