@@ -159,15 +159,14 @@ def columns(value: ArrayLike, name: str, rows: int) -> Floats:
     return _bounded(array, name, "Its entries", LARGEST_RESPONSE)
 
 
-def _positions(value: ArrayLike, name: str) -> Floats:
-    """A real array, of which OpenCV's (n, 1, 2) become (n, 2)."""
-    array = real(value, name)
-    return array[:, 0] if array.ndim == 3 and array.shape[1:] == (1, 2) else array
+def as_rows(array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, but (n, 2) if it has the shape of OpenCV's points, (n, 1, 2) or (1, n, 2)."""
+    return array.reshape(-1, 2) if array.ndim == 3 and 1 in array.shape[:2] and array.shape[2] == 2 else array
 
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
-    """At least one finite point, (n, dimension); one to three coordinates if dimension is None; (n, 1, 2) of OpenCV."""
-    array = _positions(value, name)
+    """At least one finite point, (n, dimension); one to three coordinates if dimension is None; OpenCV's shapes too."""
+    array: Floats = as_rows(real(value, name))
     if dimension is None and array.ndim == 2 and 1 <= array.shape[1] <= 3:
         dimension = array.shape[1]
     if array.ndim != 2 or array.shape[1] != dimension or len(array) == 0:
@@ -183,7 +182,7 @@ def queries(value: ArrayLike, name: str) -> Floats:
     Infinite ones and those beyond the largest coordinate are not known either, since models map points to such places:
     what one model returns, any other takes.
     """
-    array = real(value, name)
+    array: Floats = as_rows(real(value, name))
     if array.ndim != 2 or array.shape[1] != 2:
         refuse(
             name,

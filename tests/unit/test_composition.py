@@ -149,3 +149,5 @@ def test_no_points_are_applied_to_none(apply, tmp_path):
     there, warnings = apply("linear", tmp_path / "none.npy")
     assert there.read_text() == "x,y,error\n"
     assert warnings == ""
+    back, warnings = apply("linear", there, "--inverse")
+    assert (back.read_text(), warnings) == ("x,y\n", "")

@@ -287,7 +287,7 @@ def test_texts_that_people_write(tmp_path, text, expected):
     [
         ("", "at least one line.*which has none"),
         ("# x y z\n", "at least one line"),
-        ("x,y,z\n", "below its header"),
+        ("x,y,z\n", r"4 data or more.*Given no rows in c\.csv"),
         ("1,2\n" * 9, r"3 columns \(x, y, z\), or a header .* u, v, x, y, z .*Given 2 columns in c\.csv"),
         ("1,2,3,4\n" * 9, "Given 4 columns in"),
         (
@@ -416,7 +416,7 @@ def test_vertices_without_measurement_and_with_more_than_coordinates(tmp_path, k
         (b"ply\nformat ascii 1.0\nelement point 1\nproperty float x\nend_header\n1\n", "no vertices"),
         (b"ply\nformat ascii 1.0\nend_header\n", "no vertices"),
         (ply(XYZ[:3]), "3 of 3"),
-        (ply(XYZ[:0]), "0 of 0"),
+        (ply(XYZ[:0]), "no rows"),
         (ply(XYZ * np.nan), "0 of 7"),
         (ply(XYZ, count=10**15), "PLY"),
         (ply(XYZ, "ascii", count=8), "PLY.*ends before its last element"),

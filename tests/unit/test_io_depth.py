@@ -1,16 +1,19 @@
 """What the numbers of depth maps mean: units, 0, and what stands for no data, in files laid out byte by byte."""
 
 import contextlib
+import io
 import json
 import struct
 import warnings
 
 import numpy as np
+import PIL.Image
 import pytest
 from rasters import png, tiff
 
 from mexpress.cli import main
 from mexpress.io.clouds import read_cloud
+from mexpress.io.raster import Raster
 
 RANDOM = np.random.default_rng(0)
 COUNTS = RANDOM.integers(1500, 1595, (48, 64)).astype(np.uint16)
@@ -153,7 +156,7 @@ def test_points_can_be_missing_too(tmp_path):
         (
             HEIGHTS,
             -9999,
-            r"15 of 3072 values in d\.tif are -9999, far from all others, 20.* to 29.*: .*missing=\[-9999\]",
+            r"15 of 30\d\d values in d\.tif are -9999, far from all others, 20.* to 29.*: .*missing=\[-9999\]",
         ),
         (HEIGHTS.astype(np.int16), -32768, r"missing=\[-32768\]"),
         (HEIGHTS.astype(np.float32), -3.4028234663852886e38, r"missing=\[-3\.4028234663852886e\+38\]"),
@@ -255,3 +258,43 @@ def test_the_command_line_says_what_was_guessed_and_takes_what_it_is_told(tmp_pa
     captured = capsys.readouterr()
     assert captured.out.startswith("1176 depths (24 more are missing)")
     assert "unit of the data" in captured.out
+
+
+SCALED = (42112, 2, b'<GDALMetadata><Item name="SCALE" sample="0" role="scale">0.25</Item>'
+          b'<Item name="OFFSET" sample="0" role="offset">-375</Item></GDALMetadata>\0')  # fmt: skip
+
+
+@pytest.mark.parametrize("dtype", ["u2", "i2", "f4"])
+def test_the_scale_of_the_file(tmp_path, dtype):
+    holed, valid = with_holes(COUNTS.astype(dtype), 7)
+    content = tiff(holed, tags=[SCALED, (42113, 2, b"7\0")])
+    cloud = read(tmp_path, "tif", content)
+    holds(cloud, COUNTS * 0.25 - 375, valid)
+    assert cloud.unit is None
+    holds(read(tmp_path, "tif", content, scale=10), (COUNTS * 0.25 - 375) / 10, valid)
+
+
+def test_zero_is_a_value_beneath_a_scale_but_not_at_a_camera(tmp_path):
+    holed, _ = with_holes(COUNTS, 0, 1500)  # the first is -375, the other 0
+    content = tiff(holed, tags=[SCALED])
+    note = r"15 of 30\d\d values in d\.tif are 0, far from all others"
+    holds(read(tmp_path, "tif", content, note), holed * 0.25 - 375.0)
+    cloud = read(tmp_path, "tif", content, note, intrinsics=(50, 50, 32, 24))
+    depths = (holed * 0.25 - 375.0).ravel()
+    np.testing.assert_array_equal(cloud.values[:, 2], depths[depths != 0])
+    assert cloud.n_missing == (holed == 1500).sum() >= 15
+
+
+@pytest.mark.parametrize("kind", ["tif", "png"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_depth_map_is_turned_as_photographs_are(tmp_path, kind, orientation):
+    if kind == "tif":
+        content = tiff(COUNTS, tags=[(274, 3, [orientation])])
+    else:
+        file, exif = io.BytesIO(), PIL.Image.Exif()
+        exif[0x0112] = orientation
+        PIL.Image.fromarray(COUNTS).save(file, "PNG", exif=exif)
+        content = file.getvalue()
+    seen = Raster(COUNTS, orientation=orientation).upright()
+    assert seen.shape == (COUNTS.shape if orientation < 5 else COUNTS.shape[::-1])
+    holds(read(tmp_path, kind, content, scale=1), seen)

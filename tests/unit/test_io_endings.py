@@ -12,7 +12,7 @@ from mexpress.io.clouds import read_cloud
 from mexpress.io.images import read_image
 from mexpress.io.matches import read_matches, read_points
 
-CLOUDS = r"Endings that are read: \.png, \.tif, \.pgm, \.pfm, \.asc, \.npy, \.npz, \.ply, \.parquet, or text such as"
+CLOUDS = r"Endings that are read: \.png, \.tif, \.pgm, \.pfm, \.asc, \.npy, \.npz, \.ply, \.obj, \.parquet, or text"
 TABLES = r"Endings that are read: \.csv, \.txt or other text, \.npz, \.npy or \.parquet\."
 
 
@@ -30,7 +30,7 @@ TABLES = r"Endings that are read: \.csv, \.txt or other text, \.npz, \.npy or \.
         ("m.h5", "h5py"),
         ("m.pt", "torch.load"),
         ("m.xlsx", ".csv"),
-        ("mesh.obj", "save it as .ply"),
+        ("mesh.stl", "save it as .ply"),
         ("photo.jpg", "JPEG changes numbers"),
     ],
 )
@@ -41,6 +41,14 @@ def test_known_kinds_are_refused_with_a_way_out_whatever_is_in_them(tmp_path, na
         with pytest.raises(
             ValueError, match=rf"^Invalid {kind}\. {readable}.* Given {re.escape(name)}; .*{re.escape(says)}"
         ):
+            read(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["mesh.ply", "mesh.obj"])
+def test_meshes_are_clouds_and_nothing_else(tmp_path, name):
+    (tmp_path / name).write_text("v 1 2 3\n")
+    for read in (read_matches, read_points):
+        with pytest.raises(ValueError, match=rf"{TABLES} Given {name}; read_cloud and mexpress surface read"):
             read(tmp_path / name)
 
 

@@ -23,6 +23,7 @@ PAIRS = [cv2.DMatch(1, 2, 0.5), cv2.DMatch(3, 0, 0.25)]
         (tuple(map(tuple, KEYPOINTS)), tuple(PAIRS)),
         (KEYPOINTS, np.array([[1, 2], [3, 0]], np.int32)),
         ((FIRST[:, None], SECOND[:, None]), PAIRS),
+        ((FIRST[None], SECOND[None]), PAIRS),
     ],
 )
 def test_matches_of_any_matcher(keypoints, matches):

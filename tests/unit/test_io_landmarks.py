@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mexpress.io.matches import read_matches, read_weighted_matches
+from mexpress.io.matches import read_matches, read_points, read_weighted_matches
 
 QGIS = """#CRS: PROJCRS["WGS 84 / UTM zone 33N"]
 mapX,mapY,{source}X,{source}Y,enable,dX,dY,residual
@@ -71,6 +71,21 @@ def test_landmarks_that_are_not_active_stay_out_of_columns_that_are_told(tmp_pat
     (tmp_path / "landmarks.csv").write_text(rows)
     moving, fixed = read_matches(tmp_path / "landmarks.csv", columns=[3, 4, 6, 7])
     assert (moving.tolist(), fixed.tolist()) == ([[1, 2]], [[4, 5]])
+
+
+def test_points_of_landmarks_that_are_in_use(tmp_path):
+    (tmp_path / "scan.points").write_text(QGIS.format(source="source"))
+    (tmp_path / "landmarks.csv").write_text(BIGWARP)
+    for name, columns, kept in (
+        ("scan.points", ["mapX", "mapY"], [[500010.5, 4649900.25], [np.nan] * 2, [500210, 4649700]]),
+        ("landmarks.csv", [3, 4], [[10.5, 20.25], [np.nan] * 2, [30, 40], [np.nan] * 2]),
+    ):
+        told = {"columns": columns, "missing": "keep"}
+        np.testing.assert_array_equal(read_points(tmp_path / name, **told), kept)
+        used = [row for row in kept if not np.isnan(row[0])]
+        np.testing.assert_array_equal(read_points(tmp_path / name, columns=columns), used)
+        with pytest.raises(ValueError, match=r"^Invalid points\. .* such as columns=\[1, 2\]"):
+            read_points(tmp_path / name)
 
 
 def test_bigwarp_in_space(tmp_path):

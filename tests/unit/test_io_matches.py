@@ -130,7 +130,8 @@ def test_plain_arrays(tmp_path):
     [
         ("", "which has none"),
         ("\n# nothing\n", "which has none"),
-        ("x1,y1,x2,y2\n", "below its header"),
+        ("x1,y1,x2,y2\n", "must have rows"),
+        ("a,b,c,d\n", "'a' with nothing below it"),
         ("1,2,3\n", r"4 columns \(x1, y1, x2, y2\).*such as columns=\[1, 2, 3, 4\]\. Given 3 columns in"),
         ("1,2,3,4,5\n", r"Given 5 columns in"),
         ("1,2,3,4,five,6,seven\n", r"Given 6 columns in m.csv, besides 'seven' in line 1"),

@@ -13,6 +13,7 @@ from rasters import png, tiff
 
 from mexpress.io.images import read_image, read_raster
 from mexpress.io.pillow import read_by_pillow
+from mexpress.io.raster import Raster
 
 RANDOM = np.random.default_rng(0)
 
@@ -108,7 +109,7 @@ def test_without_pillow_the_extra_is_named(monkeypatch):
 
 @pytest.mark.parametrize("orientation", [None, *range(10)])
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
-def test_photographs_are_turned_as_viewers_do_and_depth_maps_are_not(tmp_path, orientation, kind):
+def test_photographs_are_turned_as_viewers_do(tmp_path, orientation, kind):
     colours = np.repeat(
         np.repeat(RANDOM.integers(0, 256, (2, 3, 3)).astype(np.uint8), 16, axis=0), 16, axis=1
     )
@@ -123,6 +124,25 @@ def test_photographs_are_turned_as_viewers_do_and_depth_maps_are_not(tmp_path, o
     np.testing.assert_array_equal(read_raster(path, "cloud").pixels, raw)
     if kind == "JPEG":
         np.testing.assert_array_equal(read_image(path)[..., ::-1], cv2.imread(str(path)))
+
+
+@pytest.mark.parametrize("orientation", [None, *range(1, 9)])
+@pytest.mark.parametrize("packing", ["raw", "tiff_lzw", "jpeg"])
+@pytest.mark.parametrize("mode", ["L", "RGB", "P"])
+def test_tiffs_are_turned_once_whoever_reads_them(tmp_path, orientation, packing, mode):
+    if mode == "P" and packing == "jpeg":
+        packing = "raw"
+    quality = {"quality": 100} if packing == "jpeg" else {}
+    gray = np.repeat(np.repeat(RANDOM.integers(0, 256, (2, 3)).astype(np.uint8), 16, axis=0), 16, axis=1)
+    image = PIL.Image.fromarray(gray).convert(mode)
+    tags = {} if orientation is None else {0x0112: orientation}
+    image.save(tmp_path / "photo.tif", compression=packing, tiffinfo=tags, **quality)
+    expected = Raster(np.array(image.convert("RGB") if mode == "P" else image), orientation=orientation or 1)
+    found = read_image(tmp_path / "photo.tif")
+    assert found.shape == expected.upright().shape
+    np.testing.assert_allclose(
+        found.astype(int), expected.upright().astype(int), atol=3 if packing == "jpeg" else 0
+    )
 
 
 def test_damaged_exif_data_say_nothing(tmp_path):

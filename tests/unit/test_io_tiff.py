@@ -89,6 +89,60 @@ def test_what_means_no_data(text, values, big):
     np.testing.assert_array_equal(nan, [np.nan])
 
 
+def metadata(*items):
+    """GDAL's metadata of such items."""
+    lines = "".join(f"  <Item {head}>{text}</Item>\n" for head, text in items)
+    return (42112, 2, f"<GDALMetadata>\n{lines}</GDALMetadata>\n\0".encode())
+
+
+@pytest.mark.parametrize(
+    ("items", "scaling"),
+    [
+        ([('name="SCALE" sample="0" role="scale"', "0.1")], (0.1, 0.0)),
+        ([('name="OFFSET" sample="0" role="offset"', "-273.15")], (1.0, -273.15)),
+        (
+            [
+                ('name="OFFSET" sample="0" role="offset"', "1e3"),
+                ('name="SCALE" sample="0" role="scale"', "0.0010000000474974513"),
+                ('name="UNITTYPE" sample="0" role="unittype"', "m &amp; more"),
+            ],
+            (0.0010000000474974513, 1000.0),
+        ),
+        ([("name='SCALE' role='scale'  sample = '0'", " 2 ")], (2.0, 0.0)),
+        ([('name="SCALE" sample="1" role="scale"', "0.1")], (1.0, 0.0)),
+        ([('name="SCALE"', "0.1"), ('name="who" sample="0"', "0.1")], (1.0, 0.0)),
+        ([], (1.0, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("big", [False, True])
+def test_the_scale_and_the_offset_of_gdal(items, scaling, big):
+    array = samples("u2")
+    raster = read_tiff(tiff(array, big=big, tags=[metadata(*items)]))
+    assert raster.scaling == scaling
+    same(raster.pixels, array)
+
+
+@pytest.mark.parametrize(
+    ("role", "text", "says"),
+    [
+        ("scale", "ten", r"its tag 42112 \(scale\) is 'ten', no number"),
+        ("offset", "", r"its tag 42112 \(offset\) is '', no number"),
+        ("scale", "0", r"its tag 42112 has a scale of 0 and an offset of 0"),
+        ("scale", "nan", r"its tag 42112 has a scale of nan"),
+        ("offset", "inf", r"its tag 42112 has a scale of 1 and an offset of inf"),
+    ],
+)
+def test_scales_that_are_none(role, text, says):
+    with pytest.raises(ValueError, match=f"^{says}"):
+        read_tiff(tiff(samples("u2"), tags=[metadata((f'sample="0" role="{role}"', text))]))
+
+
+@pytest.mark.parametrize("orientation", range(10))
+def test_how_it_is_to_be_seen(orientation):
+    raster = read_tiff(tiff(samples("u2"), tags=[(274, 3, [orientation])]))
+    assert raster.orientation == (orientation if 1 <= orientation <= 8 else 1)
+
+
 @pytest.mark.parametrize(
     "tag", [(33550, 12, [30.0, 30.0, 0.0]), (34264, 12, [1.0] * 16), (34735, 3, [1, 1, 0, 0])]
 )

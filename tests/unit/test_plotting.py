@@ -377,3 +377,74 @@ def test_residuals_of_what_is_kept():
     assert "1 left out" in labels(figure)
     rms = float(figure.axes[0].get_title(loc="left").split("RMS ")[1].split(",")[0])
     assert rms < 1e-6
+
+
+def drawn(figure):
+    """Everything that has coordinates in a figure's first axes, and what the legend says."""
+    axes = figure.axes[0]
+    points = [line.get_xydata() for line in axes.lines]
+    return [*points, *(dots.get_offsets() for dots in axes.collections), np.array(labels(figure))]
+
+
+def same_figures(some, others):
+    for one, other in zip(drawn(some), drawn(others), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_data_that_are_missing_are_not_drawn():
+    gaps = np.delete(np.arange(60), [2, 7, 41])
+    source, target = SOURCE.copy(), TARGET.copy()
+    source[[2, 41]], target[[7, 41], 1] = np.nan, np.nan
+    target[30] += 40
+    chosen = mx.select_warp(source, target, missing="drop", robust=True)
+    assert chosen.left_out.tolist() == [30]
+    # Rows of all data, and of those that are there; absent are the missing ones and one more.
+    both = (source, target, Aside([30], [2, 7, 9, 41])), (source[gaps], target[gaps], Aside([28], [7]))
+    figures = [plotting.plot_warp(chosen.warp, *data, aside=aside) for *data, aside in both]
+    assert {"55 matches", "1 left out", "1 absent"} <= set(labels(figures[0]))
+    same_figures(*figures)
+    same_figures(
+        *(plotting.plot_registration(chosen.warp, GRAY, GRAY, *data, aside=aside) for *data, aside in both)
+    )
+    same_figures(
+        plotting.plot_warp(chosen.warp, chosen.source, chosen.target),
+        plotting.plot_warp(chosen.warp, source[gaps], target[gaps]),
+    )
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+def test_samples_that_are_missing_are_not_drawn(columns):
+    points, values = SOURCE.copy(), np.column_stack([SOURCE, TARGET])[:, :columns].squeeze().copy()
+    points[4], values[5], values[6] = np.nan, np.nan, np.inf
+    known = np.delete(np.arange(60), [4, 5, 6])
+    chosen = mx.select_surface(points, values, missing="drop", max_count=9)
+    for plot in (plotting.plot_surface, plotting.plot_residuals):
+        some, others = (
+            plot(chosen.surface, points, values),
+            plot(chosen.surface, points[known], values[known]),
+        )
+        for one, other in zip(some.axes, others.axes, strict=True):
+            assert one.get_title(loc="left") == other.get_title(loc="left")
+            for dots, same in zip(one.collections, other.collections, strict=True):
+                np.testing.assert_array_equal(dots.get_array(), same.get_array())
+    plotting.plot_surface(chosen.surface, chosen.points, chosen.values)
+    aside = Aside(absent=[4, 5, 6, 8])
+    assert "1 absent" in labels(plotting.plot_residuals(chosen.surface, points, values, aside=aside))
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "says"),
+    [
+        (SOURCE, TARGET[:-1], r"target\. It must have 60 rows, one for each datum\. Given shape \(59, 2\)"),
+        (SOURCE[:-1], TARGET, r"target\. It must have 59 rows.*shape \(60, 2\)"),
+        (SOURCE * np.nan, TARGET, r"source\. There must be rows that are whole\. Given 0 of 60"),
+        (SOURCE[:0], TARGET[:0], r"source\. It must be points of shape"),
+        (7.0, TARGET, r"source\. It must have 1 rows"),
+        ("abc", TARGET, r"source\. It must be an array of real numbers"),
+    ],
+)
+def test_matches_that_cannot_be_drawn(selection, source, target, says):
+    with pytest.raises((ValueError, TypeError), match=f"^Invalid {says}"):
+        plotting.plot_warp(selection.warp, source, target)
+    with pytest.raises((ValueError, TypeError), match=f"^Invalid {says}"):
+        plotting.plot_registration(selection.warp, GRAY, GRAY, source, target)

@@ -76,11 +76,14 @@ def test_nothing_missing_changes_nothing():
     assert both[1].data.weights is None
 
 
-def test_points_as_opencv_has_them():
-    opencv = SOURCE[:, None], TARGET[:, None]
-    expected = mx.fit_warp(SOURCE, TARGET, SOURCE[:6])(SOURCE)
-    np.testing.assert_array_equal(mx.fit_warp(*opencv, SOURCE[:6, None])(SOURCE), expected)
-    gaps = mx.fit_warp(holes(SOURCE, GONE)[:, None], opencv[1], SOURCE[:6], missing="drop")
+@pytest.mark.parametrize("shape", [(40, 1, 2), (1, 40, 2)])
+def test_points_as_opencv_has_them(shape):
+    source, target = SOURCE.reshape(shape), TARGET.reshape(shape)
+    warp, expected = mx.fit_warp(source, target, SOURCE[:6, None]), mx.fit_warp(SOURCE, TARGET, SOURCE[:6])
+    np.testing.assert_array_equal(warp(SOURCE), expected(SOURCE))
+    np.testing.assert_array_equal(warp(source), expected(SOURCE))
+    np.testing.assert_array_equal(warp.inverse(target), expected.inverse(TARGET))
+    gaps = mx.fit_warp(holes(SOURCE, GONE).reshape(shape), target, SOURCE[:6], missing="drop")
     np.testing.assert_array_equal(gaps(SOURCE), mx.fit_warp(SOURCE[KEPT], TARGET[KEPT], SOURCE[:6])(SOURCE))
 
 

@@ -331,13 +331,10 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
     return list(plots)
 
 
-def drawn(selection: FittedSelection[Any]) -> tuple[Floats, Floats, Aside]:
-    """Return the points and values of the data, without those that are missing, and what of them is not in the fit."""
-    data = selection.data
-    there = np.flatnonzero(np.isfinite(data.points).all(axis=1))
-    left_out, kept = (np.searchsorted(there, some) for some in (selection.left_out, selection.kept))
-    absent = np.setdiff1d(np.arange(len(there)), np.union1d(left_out, kept))
-    return data.points[there], data.values[there], Aside(left_out, absent)
+def aside(selection: FittedSelection[Any]) -> Aside:
+    """Return which data are not in the fit; those that are missing are absent, too."""
+    every = np.arange(len(selection.data.points))
+    return Aside(selection.left_out, np.setdiff1d(every, np.union1d(selection.left_out, selection.kept)))
 
 
 def missing_text(n_missing: int) -> str:

@@ -34,8 +34,8 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "input",
         metavar="INPUT",
         type=Path,
-        help="depth map as .png, .tif, .pgm, .pfm, .asc, .npy or .npz; or points as .ply, .npy, .npz, .parquet or text "
-        "with columns x y z or u v x y z, and weight if there; - is standard input",
+        help="depth map as .png, .tif, .pgm, .pfm, .asc, .npy or .npz; or points as .ply, .obj, .npy, .npz, .parquet "
+        "or text with columns x y z or u v x y z, and weight if there; - is standard input",
     )
     common.add_table(parser, "x,y,z")
     add(
@@ -187,12 +187,12 @@ def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[
 
 
 def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
-    surface, (points, values, aside) = selection.surface, common.drawn(selection)
-    kept = selection.points[selection.kept], selection.values[selection.kept]
+    surface, points, values, kept = selection.surface, selection.points, selection.values, selection.kept
+    aside = common.aside(selection)
     more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
-        "surface.png": lambda path: plotting.plot_surface(surface, *kept, path, **more),
+        "surface.png": lambda path: plotting.plot_surface(surface, points[kept], values[kept], path, **more),
         "residuals.png": lambda path: plotting.plot_residuals(
             surface, points, values, path, **more, aside=aside
         ),

@@ -59,9 +59,10 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    given = matches.read_weighted_matches(
-        arguments.matches, arguments.weights or arguments.sigma, **common.table_options(arguments)
-    )
+    with common.warnings_as_lines():
+        given = matches.read_weighted_matches(
+            arguments.matches, arguments.weights or arguments.sigma, **common.table_options(arguments)
+        )
     weights = common.as_weights(arguments, given.weights)
     images = _images(arguments)
     size = arguments.image_size
@@ -134,7 +135,7 @@ def _print(selection: WarpSelection, health: dict[str, Any], n_missing: int) -> 
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
-    warp, (source, target, aside) = selection.warp, common.drawn(selection)
+    warp, source, target, aside = selection.warp, selection.source, selection.target, common.aside(selection)
     plots: dict[str, Callable[[Path], Any]] = {
         "curves.png": lambda path: plotting.plot_selection(selection, path),
         "warp.png": lambda path: plotting.plot_warp(warp, source, target, path, aside=aside),

@@ -1,4 +1,4 @@
-"""Depth maps and point clouds as people have them: images, numpy's archives, text, PLY.
+"""Depth maps and point clouds as people have them: images, numpy's archives, text, PLY, OBJ.
 
 Examples
 --------
@@ -26,6 +26,7 @@ from mexpress.io.grids import is_grid
 from mexpress.io.images import read_raster
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.missing import Missing
+from mexpress.io.obj import read_obj_vertices
 from mexpress.io.placeholders import note_placeholders
 from mexpress.io.ply import read_vertices
 from mexpress.io.sources import Source, is_frame, read_table, where
@@ -159,12 +160,13 @@ def read_cloud(
         The ending tells what it is.
 
         * `.png`, `.tif`, `.tiff`, `.pgm`, `.pnm`, `.pfm`, and `.asc` if it is ESRI's grid: a depth map, a number per
-          pixel, as it stands in the file. Its rows are numbered from the top, wherever on earth they are.
+          pixel, as it stands in the file, or as the scale and the offset of GDAL's metadata in a TIFF say. Its rows are
+          numbered from the top, wherever on earth they are, after the image is turned as EXIF data and TIFF tags say.
         * `.npy`: an array with 3 to 5 columns, or with at most 10 and four times as many rows, is a table of points,
           like one with fields; another 2-D array, from 6 x 6 on, is a depth map.
         * `.npz`: arrays `points` (n, 2) and `values`, (n,) or (n, d), or `uv` and `points3d`; or a depth map
           called `depth`; or one array as in `.npy`, called `points` if there are others besides single numbers.
-        * `.ply`: the vertices' x y z, whatever else there is.
+        * `.ply`, `.obj`: the vertices' x y z, whatever else there is.
         * `.parquet`, frames of pandas and polars, and any other ending, which is text: a table, a datum per row, as
           `mexpress.io.matches.read_matches` reads it.
 
@@ -178,12 +180,12 @@ def read_cloud(
 
         Missing are NaN and infinite numbers, what the file itself says means no data (GeoTIFF's tag 42113, NODATA_value
         of ESRI's grids), and 0 in a depth map of whole numbers; not, however, in images whose numbers have a sign,
-        which have a place on earth, or which say what means no data. In one of floats 0 is a value, since NaN can say
-        that there is none, unless there are intrinsics: no camera sees a point at its own centre.
+        which have a place on earth or a scale, or which say what means no data. In one of floats 0 is a value, since
+        NaN can say that there is none, unless there are intrinsics: no camera sees a point at its own centre.
     scale : float, optional
         Units of a depth map's numbers per metre, or per the unit that is wanted: 5000 for the TUM sets. By
-        default 1000 for images of whole numbers, which mostly have millimetres, unless they have a sign or a place
-        on earth; otherwise 1.
+        default 1000 for images of whole numbers, which mostly have millimetres, unless they have a sign, a place on
+        earth, or a scale of the file's own, which comes first; otherwise 1.
     intrinsics : (fx, fy, cx, cy), optional
         Focal lengths and principal point, in pixels, of the camera that took the depth map. The values are
         then the (n, 3) points of space in the camera's frame; the domain is still the image.
@@ -240,7 +242,8 @@ def read_cloud(
     valid = source.valid()
     if len(valid) < _FEWEST:
         rule = f"It must have {_FEWEST} data or more that are not missing."
-        check.refuse("cloud", rule, f"{len(valid)} of {source.total} in {where(path)}")
+        given = f"{len(valid)} of {source.total}" if source.total else "no rows"
+        check.refuse("cloud", rule, f"{given} in {where(path)}")
     chosen = valid
     if most is not None and most < len(valid):
         chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
@@ -303,6 +306,8 @@ def _with_weights(source: Source, told: _Told) -> tuple[DepthMap | _Points, Any]
         path = _without_columns(source, told)
         table, weights = _read_ply(path, str(told.weights or WEIGHT_COLUMN))
         return _Points(table[:, :2], table[:, 2]), weights
+    if ending == ".obj":
+        return _read_obj(_without_columns(source, told)), None
     if ending in ARCHIVES:
         arrays = read_data(Path(source), "cloud")
         weights = arrays.pop(str(told.weights or WEIGHT_ARRAY), None)
@@ -367,6 +372,14 @@ def _pair(points: NDArray[Any], values: NDArray[Any], points_name: str, values_n
         rule = f"It must have shape ({len(points)},) or ({len(points)}, d)."
         check.refuse(values_name, rule, f"shape {values.shape}")
     return _Points(points, values)
+
+
+def _read_obj(path: Path) -> _Points:
+    try:
+        vertices = read_obj_vertices(path.read_bytes())
+    except ValueError as error:
+        check.refuse("cloud", "It must be an OBJ file.", f"{path.name}: {error}")
+    return _Points(vertices[:, :2], vertices[:, 2])
 
 
 def _read_ply(path: Path, weight: str) -> tuple[Floats, Any]:

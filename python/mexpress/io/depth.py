@@ -33,6 +33,8 @@ class DepthMap(NamedTuple):
         Whether 0 means no data.
     missing : Missing
         Which other numbers mean no data.
+    scaling : (scale, offset)
+        What the numbers are multiplied by, and what is then added, to be in the file's unit.
     scale : float
         How many of the file's units are one.
     unit : str or None
@@ -46,6 +48,7 @@ class DepthMap(NamedTuple):
     raw: NDArray[Any]
     zero_is_missing: bool
     missing: Missing = Missing()
+    scaling: tuple[float, float] = (1.0, 0.0)
     scale: float = 1.0
     unit: str | None = None
     intrinsics: tuple[float, float, float, float] | None = None
@@ -65,8 +68,10 @@ class DepthMap(NamedTuple):
         """Return which pixels have a measurement, and a weight if there are weights."""
         raw = self.raw.ravel()
         known = ~self.missing.marks(raw)
-        if self.zero_is_missing or self.intrinsics is not None:
+        if self.zero_is_missing:
             known &= raw != 0
+        if self.intrinsics is not None:
+            known &= self._depths(raw) != 0
         return np.flatnonzero(known if self.weights is None else known & np.isfinite(self.weights))
 
     def numbers(self, chosen: Integers) -> NDArray[Any]:
@@ -77,12 +82,17 @@ class DepthMap(NamedTuple):
         """Return positions (k, 2) of some pixels, and their depths (k,) or, seen by a camera, points (k, 3)."""
         row, column = np.divmod(chosen, self.raw.shape[1])
         points = np.column_stack([column, row]).astype(np.float64)
+        depth = self._depths(self.numbers(chosen))
         with np.errstate(over="ignore"):
-            depth = self.numbers(chosen).astype(np.float64) / self.scale
             if self.intrinsics is None:
                 return points, depth
             fx, fy, cx, cy = self.intrinsics
             return points, np.column_stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth])
+
+    def _depths(self, numbers: NDArray[Any]) -> Floats:
+        factor, offset = self.scaling
+        with np.errstate(over="ignore"):
+            return (numbers.astype(np.float64) * factor + offset) / self.scale
 
 
 def depth_of_array(array: NDArray[Any], place: str) -> DepthMap:
@@ -116,7 +126,8 @@ def depth_of_raster(raster: Raster, place: str) -> DepthMap:
     """Return the depth map that an image is.
 
     Whole numbers without a sign and without a place on earth are a sensor's: millimetres, and 0 where it measured
-    nothing, unless the file says itself what means no data. Others are in a unit that is not known, and 0 is a value.
+    nothing, unless the file says itself what means no data. Others, and those that the file has a scale or an offset
+    for, are in a unit that is not known, and 0 is a value. Pixels are where they are to be seen.
 
     Parameters
     ----------
@@ -136,9 +147,9 @@ def depth_of_raster(raster: Raster, place: str) -> DepthMap:
     >>> depth_of_raster(heights, "heights.tif").data([0, 1])[1]
     array([0., 7.])
     """
-    depth = depth_of_array(raster.pixels, place)._replace(
-        zero_is_missing=False, missing=Missing(raster.no_data)
+    depth = depth_of_array(raster.upright(), place)._replace(
+        zero_is_missing=False, missing=Missing(raster.no_data), scaling=raster.scaling
     )
-    if raster.pixels.dtype.kind != "u" or raster.georeferenced:
+    if raster.pixels.dtype.kind != "u" or raster.georeferenced or raster.scaling != (1.0, 0.0):
         return depth
     return depth._replace(zero_is_missing=not raster.no_data, scale=_MILLIMETRES, unit="m")

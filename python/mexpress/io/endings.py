@@ -5,8 +5,8 @@ Examples
 >>> refuse_foreign(Path("scan.laz"), "cloud")
 Traceback (most recent call last):
     ...
-ValueError: Invalid cloud. Endings that are read: .png, .tif, .pgm, .pfm, .asc, .npy, .npz, .ply, .parquet, or text such
-as .csv, .txt and .xyz. Given scan.laz; pdal translate scan.laz scan.ply makes a .ply.
+ValueError: Invalid cloud. Endings that are read: .png, .tif, .pgm, .pfm, .asc, .npy, .npz, .ply, .obj, .parquet, or
+text such as .csv, .txt and .xyz. Given scan.laz; pdal translate scan.laz scan.ply makes a .ply.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from mexpress import _validation as check
 
 _TABLES = ".csv, .txt or other text, .npz, .npy or .parquet"
 _READ = {
-    "cloud": ".png, .tif, .pgm, .pfm, .asc, .npy, .npz, .ply, .parquet, or text such as .csv, .txt and .xyz",
+    "cloud": ".png, .tif, .pgm, .pfm, .asc, .npy, .npz, .ply, .obj, .parquet, or text such as .csv, .txt and .xyz",
     "image": ".png, .jpg and whatever else Pillow knows, .tif, .pgm, .ppm or .pfm",
 }
 _IMAGES = {
@@ -45,7 +45,8 @@ _FOREIGN = {
     ".exr": 'cv2.imread("{file}", cv2.IMREAD_UNCHANGED) reads it in Python, and numpy.save writes an .npy',
     **dict.fromkeys([".las", ".laz", ".e57"], _PDAL),
     ".pcd": "pcl_pcd2ply {file} {stem}.ply makes a .ply",
-    **dict.fromkeys([".obj", ".stl", ".glb", ".gltf", ".off"], _MESH),
+    **dict.fromkeys([".ply", ".obj"], "read_cloud and mexpress surface read its vertices"),
+    **dict.fromkeys([".stl", ".glb", ".gltf", ".off"], _MESH),
     ".mat": _ARRAYS.format(library="scipy.io.loadmat"),
     **dict.fromkeys([".yml", ".yaml", ".xml"], _ARRAYS.format(library="cv2.FileStorage")),
     **dict.fromkeys([".h5", ".hdf5"], _ARRAYS.format(library="h5py")),

@@ -37,7 +37,8 @@ def read_image(path: Path, name: str = "image") -> NDArray[Any]:
     Returns
     -------
     ndarray, (height, width) or (height, width, channels)
-        The samples, in the file's own type, turned and mirrored as EXIF data say, as viewers and `cv2.imread` do.
+        The samples, in the file's own type, turned and mirrored as EXIF data and tags of a TIFF say, as viewers and
+        `cv2.imread` do.
 
     Raises
     ------
@@ -70,7 +71,8 @@ def read_raster(path: Path, name: str) -> Raster:
     Returns
     -------
     Raster
-        What means no data is said by GeoTIFF and by ESRI's grids, and so is whether there is a place on earth.
+        What means no data is said by GeoTIFF and by ESRI's grids, and so is whether there is a place on earth; a scale
+        and an offset by GDAL's metadata in a TIFF.
         Pixels are not turned.
 
     Raises

@@ -9,6 +9,7 @@ x,y
 """
 
 import os
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,8 @@ from mexpress.io.archives import read_data
 from mexpress.io.keypoints import index_pairs
 from mexpress.io.landmarks import landmarks
 from mexpress.io.missing import Missing
-from mexpress.io.sources import Source, is_frame, read_table
+from mexpress.io.placeholders import note_placeholders
+from mexpress.io.sources import Source, is_frame, read_table, where
 from mexpress.io.tables import MATCHES, POINTS, ArrayTable, Table, choose, complete, find
 
 WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
@@ -76,7 +78,8 @@ def read_matches(
     Returns
     -------
     source, target : ndarray, (n, 2)
-        Matched points.
+        Matched points. A `UserWarning` says if one constant lies so far outside of all other coordinates that it seems
+        to mean no data.
 
     Raises
     ------
@@ -98,7 +101,7 @@ def read_matches(
     ...     read_matches(f"{folder}/matches.csv", missing="drop")
     (array([[0.5, 1. ]]), array([[10., 11.]]))
     """
-    return read_weighted_matches(path, columns=columns, missing=missing)[:2]
+    return _read(path, None, columns, missing)[:2]
 
 
 def read_weighted_matches(
@@ -124,7 +127,7 @@ def read_weighted_matches(
     -------
     WeightedMatches
         `source` and `target`, (n, 2), `weights`, (n,) or None, and `known`, (rows,): which rows of the file these are,
-        since some may be left out.
+        since some may be left out. Warns as `read_matches` does.
 
     Raises
     ------
@@ -141,6 +144,12 @@ def read_weighted_matches(
     ...     read_weighted_matches(f"{folder}/matches.csv", "score")
     WeightedMatches(source=array([[1., 2.]]), target=array([[3., 4.]]), weights=array([0.9]), known=array([ True]))
     """
+    return _read(path, column, columns, missing)
+
+
+def _read(
+    path: Source, column: str | int | None, columns: Sequence[str | int] | None, missing: Any
+) -> WeightedMatches:
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
     marked = landmarks(table)
@@ -154,6 +163,9 @@ def read_weighted_matches(
         numbers, known = complete(table, chosen, told, marked.off if marked else None)
     weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
     named_weights(weights, column, table.where)
+    counted = np.isfinite(numbers).all(axis=1) & (True if weights is None else weights != 0)
+    for note in note_placeholders(numbers[counted, :4], where(path)):
+        warnings.warn(note, stacklevel=3)
     return WeightedMatches(numbers[:, :2].copy(), numbers[:, 2:4].copy(), weights, known)
 
 
@@ -238,12 +250,14 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
         As `read_matches` has it, with two columns: x and y. An `.npz` holds one (n, 2) array, named `points` if there
         are others.
     columns, missing
-        As for `read_matches`; here there are two columns.
+        As for `read_matches`; here there are two columns. Of landmarks they must be told, and those that are not in use
+        are left out, or not known.
 
     Returns
     -------
     ndarray, (n, 2)
-        The points; NaN in the rows of those that are not known, as results of `mexpress apply` have them.
+        The points. With ``missing="keep"`` those that are not known are rows of NaN, as in results of `mexpress apply`,
+        and there may be none at all.
 
     Raises
     ------
@@ -267,7 +281,9 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
         path = Path(path)
         rule = f"{path.name} must hold one (n, 2) array (among several: points)."
         table = _the_array(read_data(path, "points"), ("points",), path, rule)
-    return complete(table, choose(table, [POINTS], columns).columns, Missing.of(missing))[0]
+    marked = landmarks(table)
+    chosen = choose(table, [POINTS], columns).columns
+    return complete(table, chosen, Missing.of(missing), marked.off if marked else None)[0]
 
 
 def write_matches(path: str | os.PathLike[str], source: ArrayLike, target: ArrayLike) -> None:

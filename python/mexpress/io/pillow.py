@@ -97,7 +97,7 @@ def read_by_pillow(content: bytes) -> NDArray[Any]:
 
 
 def orientation_by_pillow(content: bytes) -> int:
-    """Return how an image is to be seen, by its EXIF data: 1 to 8, and 1 if nothing there says.
+    """Return how what `read_by_pillow` reads is to be seen, by EXIF data: 1 to 8, and 1 if nothing there says.
 
     Examples
     --------
@@ -108,6 +108,8 @@ def orientation_by_pillow(content: bytes) -> int:
     """
     try:
         with pillow().open(io.BytesIO(content)) as image:
+            if image.format == "TIFF":  # Pillow turns these itself
+                return 1
             orientation = image.getexif().get(_ORIENTATION, 1)
     except Exception:  # damaged EXIF data say nothing, and the image is read all the same
         return 1

@@ -29,6 +29,8 @@ class Raster:
         How its pixels are to be seen, 1 to 8 as in EXIF: 1 as they stand.
     white : int, optional
         The sample that the file says is white, if that need not be the largest of the type.
+    scaling : (scale, offset)
+        What the file says that samples are to be multiplied by, and what is then to be added.
     """
 
     pixels: NDArray[Any]
@@ -36,6 +38,7 @@ class Raster:
     georeferenced: bool = False
     orientation: int = 1
     white: int | None = None
+    scaling: tuple[float, float] = (1.0, 0.0)
 
     def upright(self) -> NDArray[Any]:
         """Return the pixels as they are to be seen.

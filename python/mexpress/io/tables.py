@@ -195,7 +195,7 @@ def choose(
         fits = n == len(free) or (first and n < len(free))
         if fits and layout.nameless and not (table.names and _contradicts(table, free[:n], layout)):
             return Choice(layout, free[:n], weights)
-    names = f" ({', '.join(table.names[k] or 'unnamed' for k in free)})" if table.names else ""
+    names = f" ({', '.join(table.names[k] or 'unnamed' for k in free)})" if table.names and free else ""
     text = next((f", besides {table.place(0, k)}" for k in range(table.width) if k not in table.numeric), "")
     headed = [table.names[k] for k in free] if table.names else []
     might = next(
@@ -353,7 +353,8 @@ def complete(
     Raises
     ------
     ValueError
-        If a cell is text, or missing; the message names its row and the remedy.
+        If a cell is text, or missing; the message names its row and the remedy. If there are no rows, unless all are
+        kept.
 
     Examples
     --------
@@ -374,6 +375,8 @@ def complete(
     if missing.keep:
         numbers[gone] = np.nan
         return numbers, ~gone
+    if not len(gone):
+        check.refuse(table.name, "It must have rows.", f"{table.where}, which has none")
     if gone.all():
         check.refuse(
             table.name,

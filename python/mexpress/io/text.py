@@ -58,7 +58,7 @@ class TextTable:
     names : list of str
         Names of the columns, none without a header.
     lines : list of (int, str)
-        Number and text of every line below the header.
+        Number and text of every line below the header, of which there may be none.
     separator : str or None
         What is between cells; None for blanks.
     """
@@ -83,6 +83,8 @@ class TextTable:
     def numeric(self) -> range:
         """The columns between those that are no numbers, at either end."""
         names = self.names or [""] * self.width
+        if not self.lines:
+            return range(0)
         cells = zip(self.first, names, strict=False)
         return between_labels(
             [not (_is_number(cell) or (_is_nothing(cell) and (cell or name))) for cell, name in cells]
@@ -94,6 +96,8 @@ class TextTable:
 
     def numbers(self, columns: Sequence[int]) -> Floats:
         """Return columns, NaN where there is no number; refuse text."""
+        if not self.lines:
+            return np.empty((0, len(columns)))
         lines = [line for _, line in self.lines]
         table = _loaded(lines, self.separator, columns) if self._is_even(lines) else None
         if table is not None:
@@ -110,6 +114,8 @@ class TextTable:
 
     def place(self, row: int, column: int) -> str:
         """Say what is in a cell, and where that is."""
+        if not self.lines:
+            return f"{self.names[column]!r} with nothing below it"
         number, line = self.lines[row]
         return f"{self._cells(number, line, column)[column]!r} in {self._line(number)}"
 
@@ -174,7 +180,7 @@ def read_text(path: Path, name: str) -> TextTable:
     Raises
     ------
     ValueError
-        If there is no text, or no line below a header.
+        If there is no text. There may be no line below a header.
     OSError
         If the file cannot be read.
 
@@ -202,9 +208,7 @@ def read_text(path: Path, name: str) -> TextTable:
     names: list[str] = []
     if _is_header(rows):
         names, lines, rows = rows[0], lines[1:], rows[1:]
-        if not lines:
-            check.refuse(name, "The file must have numbers below its header.", f"{where}, which has none")
-        if len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
+        if rows and len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
             names = ["", *names]
     elif comment:
         cells = _split(comment, _separator(comment))

@@ -15,6 +15,7 @@ array([[  -7, 1500]], dtype=int16)
 
 import io
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ _SAMPLES = {"u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f2", "f4", "f8"}
 _SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _FILL_ORDER = 254, 256, 257, 258, 259, 262, 266
 _STRIPS, _CHANNELS, _ROWS, _STRIP_SIZES, _PLANAR, _PREDICTOR = 273, 277, 278, 279, 284, 317
 _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_SIZES, _SAMPLE_FORMAT = 322, 323, 324, 325, 339
-_GEOGRAPHY, _NO_DATA = {33550, 34264, 34735}, 42113
+_ORIENTATION, _GEOGRAPHY, _METADATA, _NO_DATA = 274, {33550, 34264, 34735}, 42112, 42113
 _NONE, _LZW, _DEFLATE, _PACK_BITS = 1, 5, {8, 32946}, 32773
 _HORIZONTAL, _FLOATING = 2, 3
 _DENSEST = 3000
@@ -91,7 +92,8 @@ def read_tiff(content: bytes) -> Raster | None:
     if sample is None:
         return None
     no_data = _no_data(tags)
-    return Raster(_pixels(content, tags, sample, no_data), no_data, bool(_GEOGRAPHY & tags.keys()))
+    pixels, placed = _pixels(content, tags, sample, no_data), bool(_GEOGRAPHY & tags.keys())
+    return Raster(pixels, no_data, placed, _orientation(tags), scaling=_scaling(tags))
 
 
 def _directories(content: bytes, order: str) -> Iterator[Tags]:
@@ -107,7 +109,7 @@ def _directories(content: bytes, order: str) -> Iterator[Tags]:
             tag, kind, length = _unpack(order + entry, content, at)
             at += struct.calcsize("=" + entry)
             tags[tag] = [0]
-            if kind in _WORDS and (kind == _LETTERS) == (tag == _NO_DATA):
+            if kind in _WORDS and (kind == _LETTERS) == (tag in {_METADATA, _NO_DATA}):
                 dtype = np.dtype(order + _WORDS[kind])
                 where = at if dtype.itemsize * length <= inline else _unpack(order + word, content, at)[0]
                 if where + dtype.itemsize * length > len(content):
@@ -136,11 +138,38 @@ def _sample(tags: Tags, order: str) -> np.dtype[Any] | None:
 
 def _no_data(tags: Tags) -> tuple[float, ...]:
     """Return GDAL's tag: a number in letters."""
-    text = b"".join(letter for letter in tags.get(_NO_DATA, []) if letter).strip(b"\0 ")
+    text = _letters(tags, _NO_DATA).strip(b"\0 ")
+    return (_number(text, _NO_DATA, "no data"),) if text else ()
+
+
+def _scaling(tags: Tags) -> tuple[float, float]:
+    """Return what GDAL's metadata say that samples of the first band are multiplied by, and what is then added."""
+    said = {b"scale": 1.0, b"offset": 0.0}
+    for head, text in re.findall(rb"<Item\s([^<>]*)>([^<]*)", _letters(tags, _METADATA)):
+        words = dict(re.findall(rb"""(\w+)\s*=\s*["']([^"']*)["']""", head))
+        role = words.get(b"role")
+        if role in said and words.get(b"sample") == b"0":
+            said[role] = _number(text, _METADATA, role.decode())
+    scale, offset = said.values()
+    if not (math.isfinite(scale * offset) and scale):
+        raise ValueError(f"its tag {_METADATA} has a scale of {scale:g} and an offset of {offset:g}")
+    return scale, offset
+
+
+def _orientation(tags: Tags) -> int:
+    orientation = tags.get(_ORIENTATION, [1])[0]
+    return int(orientation) if orientation in range(1, 9) else 1
+
+
+def _letters(tags: Tags, tag: int) -> bytes:
+    return b"".join(letter for letter in tags.get(tag, []) if letter)
+
+
+def _number(text: bytes, tag: int, what: str) -> float:
     try:
-        return (float(text),) if text else ()
+        return float(text)
     except ValueError:
-        raise ValueError(f"its tag {_NO_DATA} (no data) is {text.decode('latin-1')!r}, no number") from None
+        raise ValueError(f"its tag {tag} ({what}) is {text.decode('latin-1')!r}, no number") from None
 
 
 class _Layout(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -53,6 +53,20 @@ def frame(axes: Axes, points: Floats, y_down: bool = True) -> None:
     axes.set_aspect("equal")
 
 
+def known_rows(aside: Aside | None, **arrays: ArrayLike) -> tuple[list[Floats], Aside]:
+    """Return the rows of arrays that are finite in all of them, and which of these rows are not in a fit."""
+    rows = {name: check.as_rows(check.real(array, name)) for name, array in arrays.items()}
+    first = next(iter(rows))
+    known = np.ones(np.atleast_1d(rows[first]).shape[:1], np.bool_)
+    for name, array in rows.items():
+        if array.shape[:1] != known.shape:
+            check.refuse(name, f"It must have {len(known)} rows, one for each datum.", f"shape {array.shape}")
+        known &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    if len(known) and not known.any():
+        check.refuse(first, "There must be rows that are whole.", f"0 of {len(known)}")
+    return [array[known] for array in rows.values()], (aside or Aside()).among(known)
+
+
 @dataclass(frozen=True)
 class Aside:
     """Data that are not in a fit: left out as wrong, or absent because their weight is 0; indices of each."""
@@ -62,8 +76,13 @@ class Aside:
 
     def kept(self, n: int) -> Integers:
         """Return the indices of the others."""
-        aside = [check.indices(list_, "aside", n) for list_ in (self.left_out, self.absent) if np.size(list_)]
-        return np.setdiff1d(np.arange(n), np.concatenate(aside)) if aside else np.arange(n)
+        return np.setdiff1d(np.arange(n), np.union1d(self.left_out, self.absent))
+
+    def among(self, known: NDArray[np.bool_]) -> Aside:
+        """Return the same data by their indices among those of all that are known."""
+        rank = np.cumsum(known) - 1
+        every = [check.indices(some, "aside", len(known)) for some in (self.left_out, self.absent)]
+        return Aside(*(rank[some[known[some]]] for some in every))
 
     def draw(self, axes: Axes, points: Floats) -> None:
         """Mark data that were left out by crosses, and absent ones by rings."""

@@ -18,6 +18,7 @@ from mexpress.plotting.figures import (
     Aside,
     PathLike,
     frame,
+    known_rows,
     new_figure,
     percentile,
     saved,
@@ -71,7 +72,7 @@ def plot_surface(
     points : array_like, (n, 2)
         Where the data are.
     values : array_like, (n,) or (n, 3)
-        The data.
+        The data. Rows in which something is NaN, of data that were missing, are not drawn.
     path : str or path, optional
         Where to save the figure.
     image_size : (width, height), optional
@@ -100,7 +101,7 @@ def plot_surface(
     >>> plot_surface(mx.fit_surface(points, depth, points[:9]), points, depth)
     <Figure size ...>
     """
-    where, measured = _data(surface, points, values)
+    where, measured, _ = _data(surface, points, values)
     if measured.ndim == 2 and measured.shape[1] != 3:
         rule = "It must have one value, a depth, or three, a point in space, to be drawn."
         check.refuse("surface", rule, f"{measured.shape[1]} values")
@@ -160,7 +161,7 @@ def plot_residuals(
     points : array_like, (n, 2)
         Where the data are.
     values : array_like, (n,) or (n, d)
-        The data.
+        The data. Rows in which something is NaN, of data that were missing, are not drawn.
     path : str or path, optional
         Where to save the figure.
     image_size : (width, height), optional
@@ -190,8 +191,8 @@ def plot_residuals(
     >>> plot_residuals(mx.fit_surface(points, depth, points[:9]), points, depth)
     <Figure size ...>
     """
-    every, measured = _data(surface, points, values)
-    kept = (aside or Aside()).kept(len(every))
+    every, measured, aside = _data(surface, points, values, aside)
+    kept = aside.kept(len(every))
     where, size = every[kept], check.image_size(image_size)
     residuals = measured[kept] - surface(where)
     sizes = np.abs(residuals) if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
@@ -205,8 +206,7 @@ def plot_residuals(
         name, colours, extend = "distance of the data from the surface", sizes, "max"
     dots = _draw_data(axes, surface, where, colours, **look)
     axes.plot(*surface.control_points.T, "+", color="black", ms=6, mew=0.9, label="control points")
-    if aside is not None:
-        aside.draw(axes, every)
+    aside.draw(axes, every)
     _set_frame(axes, where, size, residuals.ndim == 1)
     figure.colorbar(
         dots, ax=axes, label=with_unit(name, unit), extend=extend, aspect=30, shrink=0.85, pad=0.02
@@ -258,8 +258,8 @@ def plot_control_points(
     >>> plot_control_points(mx.select_surface(points, np.sin(points[:, 0]), max_count=20))
     <Figure size ...>
     """
-    known = np.isfinite(selection.points).all(axis=1)  # the others were missing
-    where, values, size = selection.points[known], selection.values[known], check.image_size(image_size)
+    (where, values), _ = known_rows(None, points=selection.points, values=selection.values)
+    size = check.image_size(image_size)
     figure, axes = _map_figure(where, size)
     if values.ndim == 1:
         # No shade is so dark that marks and numbers are not seen on it.
@@ -322,15 +322,18 @@ def _write_number(axes: Axes, place: Floats, number: int, colour: str) -> None:
     axes.annotate(f"{number}", (place[0], place[1]), (5, 4), path_effects=halo, **look)
 
 
-def _data(surface: Surface, points: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the data, (n,) if the surface has depths, otherwise (n, d)."""
-    where = check.points(points, "points")
-    measured = check.columns(values, "values", len(where))
+def _data(
+    surface: Surface, points: ArrayLike, values: ArrayLike, aside: Aside | None = None
+) -> tuple[Floats, Floats, Aside]:
+    """Return the data that are not missing, (n,) or (n, d) as the surface has them, and which are not in the fit."""
+    (where, measured), rest = known_rows(aside, points=points, values=values)
+    where = check.points(where, "points")
+    measured = check.columns(measured, "values", len(where))
     width = surface.parameters.size // len(surface.parameters)
     if measured.size != width * len(where):
         rule = f"They must have shape ({len(where)}, {width}) like the surface's."
         check.refuse("values", rule, f"shape {measured.shape}")
-    return where, measured.ravel() if width == 1 else measured
+    return where, measured.ravel() if width == 1 else measured, rest
 
 
 def _title(surface: Surface) -> str:

@@ -11,7 +11,18 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import diagonal
 from mexpress.plotting import rasters
-from mexpress.plotting.figures import BLUE, ORANGE, RED, YELLOW, Aside, PathLike, frame, new_figure, saved
+from mexpress.plotting.figures import (
+    BLUE,
+    ORANGE,
+    RED,
+    YELLOW,
+    Aside,
+    PathLike,
+    frame,
+    known_rows,
+    new_figure,
+    saved,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +49,8 @@ def plot_warp(
     warp : Warp
         From the source image to the target image.
     source, target : array_like, (n, 2)
-        Matches. Arrows lead from where the warp puts a source point towards its target point, magnified.
+        Matches. Arrows lead from where the warp puts a source point towards its target point, magnified. Rows of NaN
+        are matches that were missing, and are not drawn.
     path : str or path, optional
         Where to save the figure.
     aside : Aside, optional
@@ -61,8 +73,8 @@ def plot_warp(
     >>> plot_warp(mx.fit_warp(source, source + 3, source[:4]), source, source + 3)
     <Figure size ...>
     """
-    every, target = check.points(source, "source"), check.points(target, "target")
-    kept = (aside or Aside()).kept(len(every))
+    every, target, aside = _known(source, target, aside)
+    kept = aside.kept(len(every))
     source, target = every[kept], target[kept]
     predicted, lines = warp(source), _grid_lines(warp)
     wide, high = np.ptp(source, axis=0)
@@ -74,8 +86,7 @@ def plot_warp(
         frame(axes, points)
     left.plot(*source.T, ".", color=BLUE, ms=3, label=f"{len(source)} matches")
     left.plot(*warp.control_points.T, "P", color=RED, ms=8, mec="white", label=_control_points(warp))
-    if aside is not None:
-        aside.draw(left, every)
+    aside.draw(left, every)
     left.set_title("source image", loc="left")
     figure.legend(loc="outside lower left", ncols=4, frameon=False)
     factor = _draw_errors(right, predicted, target)
@@ -112,7 +123,7 @@ def plot_registration(
         Gray or colour; integers, or floating point numbers, which are stretched to their range if they are
         not from 0 to 1. Their sizes may differ.
     source, target : array_like, (n, 2), optional
-        Matches; the colours of their marks then tell the error at each.
+        Matches; the colours of their marks then tell the error at each. Rows of NaN are not drawn.
     path : str or path, optional
         Where to save the figure.
     aside : Aside, optional
@@ -155,7 +166,7 @@ def plot_registration(
         axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", color=YELLOW, lw=1.2)
         axes.set_title(name, loc="left")
         axes.set(xlim=extent[:2], ylim=extent[2:])
-    _draw_matches(panels[0], warp, source, target, aside or Aside())
+    _draw_matches(panels[0], warp, source, target, aside)
     for axes in panels[1:]:
         _paint_failures(axes, warp, extent)
     _legend_below(figure)
@@ -163,10 +174,10 @@ def plot_registration(
 
 
 def _draw_matches(
-    axes: Axes, warp: Warp, source: ArrayLike | None, target: ArrayLike | None, aside: Aside
+    axes: Axes, warp: Warp, source: ArrayLike | None, target: ArrayLike | None, aside: Aside | None
 ) -> None:
     if source is not None and target is not None:
-        every, target = check.points(source, "source"), check.points(target, "target")
+        every, target, aside = _known(source, target, aside)
         aside.draw(axes, every)
         kept = aside.kept(len(every))
         source, target = every[kept], target[kept]
@@ -178,6 +189,12 @@ def _draw_matches(
         beside = axes.inset_axes((1.015, 0, 0.025, 1))
         axes.figure.colorbar(dots, cax=beside, label="error (pixels)", extend="max")
     axes.plot(*warp.control_points.T, "P", color=RED, ms=6, mec="white", mew=0.7, label=_control_points(warp))
+
+
+def _known(source: ArrayLike, target: ArrayLike, aside: Aside | None) -> tuple[Floats, Floats, Aside]:
+    """Return the matches that are not missing, and which of them are not in the fit."""
+    (first, second), rest = known_rows(aside, source=source, target=target)
+    return check.points(first, "source"), check.points(second, "target"), rest
 
 
 def _paint_failures(axes: Axes, warp: Warp, extent: rasters.Extent) -> None:

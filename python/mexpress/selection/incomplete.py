@@ -72,12 +72,12 @@ def complete_rows(missing: str, **arrays: ArrayLike | None) -> NDArray[np.bool_]
 
 
 def _finite_rows(array: ArrayLike, name: str) -> NDArray[np.bool_]:
-    numbers = check.real(_beneath(array), name)
+    numbers = check.as_rows(check.real(_beneath(array), name))
     if numbers.ndim == 0:
         check.refuse(name, "It must be an array with a row for each datum.", check.describe(array))
     there: NDArray[np.bool_] = np.isfinite(numbers)
     if isinstance(array, np.ma.MaskedArray):
-        there &= ~np.ma.getmaskarray(array)
+        there &= ~check.as_rows(np.ma.getmaskarray(array))
     return np.asarray(there.reshape(len(there), -1).all(axis=1))
 
 
@@ -89,7 +89,7 @@ def filled(array: Any, known: NDArray[np.bool_]) -> Any:
     >>> filled([np.nan, 5, 6], np.array([False, True, True]))
     array([5., 5., 6.])
     """
-    rows = np.array(_beneath(array))
+    rows = check.as_rows(np.array(_beneath(array)))
     rows[~known] = rows[known.argmax()]
     return rows
 
