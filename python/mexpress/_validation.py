@@ -362,6 +362,6 @@ def generator(seed: Any) -> np.random.Generator:
     """Random generator of a seed; None gives fresh numbers."""
     try:
         return np.random.default_rng(seed)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
         rule = "It must be None, a whole number of at least 0, or a numpy Generator."
-        refuse("seed", rule, describe(seed), TypeError)
+        refuse("seed", rule, describe(seed), ValueError if isinstance(error, ValueError) else TypeError)
