@@ -463,6 +463,14 @@ def test_points_that_are_too_close_are_refused(name):
     in_form(caught.value)
 
 
+@pytest.mark.parametrize("fit", [mx.fit_surface, mx.fit_warp])
+@pytest.mark.parametrize("size", [1e-160, 1e-310])
+def test_control_points_that_are_too_close_are_refused(fit, size):
+    with pytest.raises(ValueError, match=r"^Invalid control_points\. They must extend over 1e-150") as caught:
+        fit(POINTS, TARGET, size * POINTS[:5])
+    in_form(caught.value)
+
+
 def test_an_image_that_is_a_speck_has_radii():
     selection = mx.select_warp(POINTS, TARGET, "CMPRESS", image_size=(1e-308, 1e-308))
     curve = selection.radii([0])
