@@ -26,6 +26,9 @@ LARGEST_COORDINATE = 1e100
 # Residuals, which may exceed the responses, must not overflow either.
 LARGEST_RESPONSE = 1e303
 
+# Parameters of a B-spline, which may exceed the values by far, are averaged to these; derivatives are multiples.
+LARGEST_PARAMETER = 1e306
+
 LARGEST_INDEX = 2**63 - 1
 
 
@@ -150,13 +153,13 @@ def matrix(value: ArrayLike, name: str) -> Floats:
     return finite(array, name)
 
 
-def columns(value: ArrayLike, name: str, rows: int) -> Floats:
-    """Finite (rows,) or (rows, r) array, with r at least 1."""
+def columns(value: ArrayLike, name: str, rows: int, limit: float = LARGEST_RESPONSE) -> Floats:
+    """Finite (rows,) or (rows, r) array within a limit, with r at least 1."""
     array = real(value, name)
     if array.ndim not in (1, 2) or array.size == 0 or len(array) != rows:
         remedy = ": transpose it" if array.ndim == 2 and array.shape[1] == rows else ""
         refuse(name, f"It must have shape ({rows},) or ({rows}, r){remedy}.", f"shape {array.shape}")
-    return _bounded(array, name, "Its entries", LARGEST_RESPONSE)
+    return _bounded(array, name, "Its entries", limit)
 
 
 def as_rows(array: NDArray[Any]) -> NDArray[Any]:
@@ -361,6 +364,6 @@ def generator(seed: Any) -> np.random.Generator:
     """Random generator of a seed; None gives fresh numbers."""
     try:
         return np.random.default_rng(seed)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
         rule = "It must be None, a whole number of at least 0, or a numpy Generator."
-        refuse("seed", rule, describe(seed), TypeError)
+        refuse("seed", rule, describe(seed), ValueError if isinstance(error, ValueError) else TypeError)

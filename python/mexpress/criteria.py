@@ -529,7 +529,8 @@ class Scorer:
                 )
                 scores[name] = [Score(formula(model), np.zeros(0, dtype=np.int64)) for model in models]
             else:
-                scores[name] = _scored(nested.press(sizes, threads), singletons(nested.n_rows))
+                rows = IndexSets(np.arange(nested.n_rows + 1), datum_of_row(nested))
+                scores[name] = _scored(nested.press(sizes, threads), rows)
         # As in `scores`: models that the data do not determine have no score.
         for k in np.flatnonzero(fits.rank < sizes):
             for curve in scores.values():

@@ -160,12 +160,24 @@ def covered_region(points: ArrayLike, name: str = "points") -> Floats:
     return hull(check.points(points, name), name)
 
 
-def hull(points: Floats, name: str) -> Floats:
-    """`covered_region` of checked points."""
+def check_extent(points: Floats, name: str) -> None:
+    """Refuse points that differ by so little that areas are no numbers; equal ones pass.
+
+    Examples
+    --------
+    >>> check_extent(np.array([[0.0, 0.0], [3e-160, 0.0]]), "target")
+    Traceback (most recent call last):
+    ValueError: Invalid target. They must extend over 1e-150 at least: take another unit. Given 2 points that ...
+    """
     extent = np.ptp(points, axis=0).max()
     if 0 < extent < _SMALLEST_EXTENT:
         rule = f"They must extend over {_SMALLEST_EXTENT:g} at least: take another unit."
         check.refuse(name, rule, f"{len(points)} points that extend over {extent:.2g}")
+
+
+def hull(points: Floats, name: str) -> Floats:
+    """`covered_region` of checked points."""
+    check_extent(points, name)
     corners = _convex_hull(points)
     if len(corners) < 3 or thinness(corners) <= NEAR_LINE:
         rule = "They must cover a region: three distinct points or more, not on a line."

@@ -113,7 +113,8 @@ def radius_curve(
         scores[k] = cross_validate_all(model, {"": scheme}, threads)[""].score
         held[k] = scheme.held_out.sizes.mean()
     _, reach = nearest(lattice(domain.corners, QUERIES), places.points)
-    return RadiusCurve(radii, scores, held, 100 / diagonal * np.sort(reach))
+    with np.errstate(over="ignore"):  # an image of any size may be given
+        return RadiusCurve(radii, scores, held, 100 * (np.sort(reach) / diagonal))
 
 
 def _checked(percents: ArrayLike) -> Floats:

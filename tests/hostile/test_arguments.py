@@ -273,7 +273,7 @@ def test_bad_seeds(seed):
         lambda: mx.select_warp(POINTS, TARGET, counts=[3], seed=seed, smoothing=0),
         lambda: select(seed=seed),
     ):
-        refused(call, "seed")
+        refused(call, "seed", ValueError if seed == -1 else TypeError)
 
 
 # ------------------------------------------------------------------------------------------------ one model

@@ -371,21 +371,64 @@ def surface(values=VALUES, points=POINTS, **options):
     return mx.select_surface(points, values, "CMPRESS", max_count=5, **options)
 
 
-@pytest.mark.parametrize("options", [{"smoothing": 0}, {}, {"robust": True}], ids=["plain", "auto", "robust"])
-@pytest.mark.parametrize("size", [1e-150, 1e150])
+SIZES = [1e-300, 1e-150, 1e150, 1e300]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"smoothing": 0}, {}, {"robust": True}, {"lifting": "bspline", "smoothing": "auto"}],
+    ids=["plain", "auto", "robust", "bspline"],
+)
+@pytest.mark.parametrize("size", SIZES)
 def test_the_size_of_values_does_not_change_their_score(size, options):
     assert surface(size * VALUES, **options).score / size == pytest.approx(surface(**options).score, rel=1e-9)
 
 
-@pytest.mark.parametrize("size", [1e-150, 1e150])
-def test_the_size_of_values_changes_no_suspect(size):
+def with_an_error():
+    """Return 40 points and their depths, of which the fourth is wrong."""
     rng = np.random.default_rng(0)
     places = rng.uniform(0, 100, (40, 2))
     values = places.sum(axis=1) + 0.1 * rng.normal(size=40)
     values[3] += 50
+    return places, values
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_size_of_values_changes_no_suspect(size):
+    places, values = with_an_error()
     one, other = (surface(v, places, smoothing=0).suspects() for v in (values, size * values))
     assert np.nanargmax(one.scores) == 3
     np.testing.assert_allclose(other.scores, one.scores, rtol=1e-8)
+    assert surface(size * values, places, robust=True).left_out.tolist() == [3]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_size_of_values_is_that_of_the_error_to_expect(size):
+    places, values = with_an_error()
+    queries = np.array([*places[:3], [200.0, 300.0]])  # the last one is far outside
+    one, other = (surface(v, places).surface.error(queries) for v in (values, size * values))
+    assert one[3] > one[0] > 1
+    np.testing.assert_allclose(other / size, one, rtol=1e-8)
+
+
+@pytest.mark.parametrize("options", [{}, {"smoothing": 0}], ids=["auto", "plain"])
+@pytest.mark.parametrize("size", SIZES)
+def test_the_size_of_values_changes_no_note(size, options):
+    places, values = with_an_error()
+    one, other = (surface(v, places, **options).notes for v in (values, size * values))
+    assert any("looks like wrong data" in note for note in one)
+    assert [note[-40:] for note in other] == [note[-40:] for note in one]
+
+
+def test_the_error_to_expect_may_be_more_than_a_number_holds():
+    places, values = with_an_error()
+    assert surface(1e300 * values, places).surface.error([[1e90, 0.0]]) == np.inf
+
+
+def test_values_whose_model_would_overflow_are_refused():
+    with pytest.raises(ValueError, match=r"^Invalid values\. The parameters of its model") as caught:
+        surface(1e302 * VALUES, lifting="bspline", smoothing=[1e-30])
+    in_form(caught.value)
 
 
 @pytest.mark.parametrize("lifting", ["tps", "affine", "bspline"])
@@ -411,6 +454,28 @@ def warp(source=POINTS, target=TARGET):
 @pytest.mark.parametrize("size", [1e-150, 1e-90, 1e90])
 def test_points_of_any_size_have_their_score(name, size):
     assert RATIOS[name](size) == pytest.approx(1, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", RATIOS)
+def test_points_that_are_too_close_are_refused(name):
+    with pytest.raises(ValueError, match="must extend over 1e-150 at least") as caught:
+        RATIOS[name](1e-160)
+    in_form(caught.value)
+
+
+@pytest.mark.parametrize("fit", [mx.fit_surface, mx.fit_warp])
+@pytest.mark.parametrize("size", [1e-160, 1e-310])
+def test_control_points_that_are_too_close_are_refused(fit, size):
+    with pytest.raises(ValueError, match=r"^Invalid control_points\. They must extend over 1e-150") as caught:
+        fit(POINTS, TARGET, size * POINTS[:5])
+    in_form(caught.value)
+
+
+def test_an_image_that_is_a_speck_has_radii():
+    selection = mx.select_warp(POINTS, TARGET, "CMPRESS", image_size=(1e-308, 1e-308))
+    curve = selection.radii([0])
+    assert curve.scores[0] == pytest.approx(selection.score, rel=1e-9)
+    assert np.isinf(curve.reach).all()
 
 
 @pytest.mark.parametrize("name", RATIOS)

@@ -254,7 +254,7 @@ LONG = {
     """,
     "a surface's control points": f"""
         {SURFACE}
-        call = lambda: mx.select_surface(points, values, max_count=300, min_distance=1, threads=2)
+        call = lambda: mx.select_surface(points, values, max_count=300, min_distance=1, placement="residual", threads=2)
     """,
     "a surface's neighbourhoods": f"""
         {SURFACE}

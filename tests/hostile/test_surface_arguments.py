@@ -114,6 +114,13 @@ def test_bad_options_of_select_surface(name, wrong):
     refused(lambda: select(**{name: wrong}), r"(criterion|criteria|scheme|" + name + ")")
 
 
+@pytest.mark.parametrize("options", [{}, {"placement": "lloyd", "smoothing": 0}, {"lifting": "bspline"}])
+def test_a_distance_that_no_placement_keeps_is_refused(options):
+    refused(
+        lambda: mx.select_surface(POINTS, TARGET, min_distance=3.0, **options), "min_distance", ValueError
+    )
+
+
 def test_a_bad_criterion_beside_schemes_of_ones_own():
     for wrong in (["ER10"], {}, np.array(["a", "b"])):
         refused(lambda w=wrong: select(criterion=w, criteria={"mine": LOO}), "criterion", TypeError)

@@ -227,7 +227,7 @@ def test_curves_are_averages_of_errors_of_refits(model, monkeypatch):
     )
     predicted = np.concatenate([gap.predicted for gap in gaps])
     errors = np.concatenate([refitted(model, gap) for gap in gaps])
-    sizes = (errors**2).sum(axis=1) / units[predicted] ** 2
+    sizes = np.sqrt((errors**2).sum(axis=1)) / units[predicted]
     shares = np.ones(len(predicted)) if data.weights is None else data.weights[predicted]
     distances, outside = (
         np.concatenate([getattr(gap, name) for gap in gaps]) for name in ("distances", "outside")
@@ -242,7 +242,7 @@ def test_a_curve_averages_groups_and_rises():
     # Eight groups, with weights 1 and 3 of squares that differ by 1; the first three averages are pooled.
     distances, weights = np.repeat(np.arange(8.0, 0, -1), 20), np.tile([1.0, 3.0], 80)
     squares = np.repeat([9.0, 6, 6, 6, 6, 1, 1, 4], 20) + np.tile([1.0, 0.0], 80)
-    curve = ErrorCurve.through(distances, squares, weights)
+    curve = ErrorCurve.through(distances, np.sqrt(squares), weights)
     np.testing.assert_allclose(curve.distances, np.arange(1, 9))
     at = np.array([0.0, 1.0, 3.0, 4.0, 7.0, 8.0, 16.0])
     np.testing.assert_allclose(curve(at) ** 2, [2.25, 2.25, 2.25, 6.25, 6.25, 9.25, 37])
@@ -251,12 +251,12 @@ def test_a_curve_averages_groups_and_rises():
 @pytest.mark.parametrize("number", [1, 5, 30])
 def test_a_curve_ends_where_most_is_undefined(number):
     distances = np.arange(100.0)
-    squares = np.where((distances >= 50) | (distances % 5 == 0), np.nan, 1.0)
-    squares[distances >= 100 - number] = 1
-    curve = ErrorCurve.through(distances, squares, np.ones(100))
+    errors = np.where((distances >= 50) | (distances % 5 == 0), np.nan, 1.0)
+    errors[distances >= 100 - number] = 1
+    curve = ErrorCurve.through(distances, errors, np.ones(100))
     assert 33 < curve.reach < 50
     np.testing.assert_allclose(curve.errors, 1)
-    assert ErrorCurve.through(distances, squares + np.nan, np.ones(100)) is None
+    assert ErrorCurve.through(distances, errors + np.nan, np.ones(100)) is None
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -118,6 +118,17 @@ def test_only_the_data_concerned_are_named():
     assert selection.undefined["mine"][5].tolist() == [2, 3, 9]
 
 
+@pytest.mark.parametrize("placement", ["nested", "lloyd"])
+def test_matches_are_named_of_which_one_row_is_indispensable(placement):
+    # 5 control points: 14 unknowns and as many rows, two for each match; 6 of them are not determined at all.
+    source, target = planted(3, n=7)
+    selection = mx.select_warp(source, target, "FIT", counts=[3, 4, 5, 6], placement=placement, smoothing=0)
+    assert {count: data.tolist() for count, data in selection.undefined["PRESS"].items()} == {
+        5: list(range(7)),
+        6: list(range(7)),
+    }
+
+
 @given(seed=st.integers(0, 1000))
 def test_selected_is_the_smallest_score(seed):
     source, target = planted(5, n=25, noise=3, seed=seed)

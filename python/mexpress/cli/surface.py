@@ -70,7 +70,7 @@ def add_surface(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "--min-distance",
         type=float,
         metavar="D",
-        help="of control points to each other with residual placement (default: 2.5 %% of the diagonal)",
+        help="of control points to each other; with residual placement alone (default: 2.5 %% of the diagonal)",
     )
     common.add_selection(
         parser, "nested, residual or lloyd (default: nested, or residual without --smoothing auto)"

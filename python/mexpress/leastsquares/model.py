@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,9 @@ from mexpress._validation import Floats, Integers
 from mexpress.index_sets import IndexSets, checked, compress, singletons
 from mexpress.leastsquares.problem import Problem
 from mexpress.schemes import Scheme
+
+if TYPE_CHECKING:
+    from mexpress.leastsquares.nested import Nested
 
 
 class RankLossWarning(UserWarning):
@@ -393,10 +396,11 @@ class LeastSquares:
         return parts if self._row_weights is None else parts * self._row_weights[rows]
 
 
-def datum_of_row(model: LeastSquares) -> Integers:
+def datum_of_row(model: LeastSquares | Nested) -> Integers:
     """The datum of each row of the design, (m,)."""
-    data = np.empty(len(model.leverage), dtype=np.int64)
-    data[model._coupling.indices] = np.repeat(np.arange(model.n_data), model._coupling.sizes)
+    rows = model._coupling
+    data = np.empty(len(rows.indices), dtype=np.int64)
+    data[rows.indices] = np.repeat(np.arange(model.n_data), rows.sizes)
     return data
 
 

@@ -12,7 +12,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.geometry import NEAR_LINE, Region, covered_region, thinness
+from mexpress.geometry import NEAR_LINE, Region, check_extent, covered_region, thinness
 from mexpress.placement import COINCIDENT, lloyd
 
 _CHUNK = 1 << 14
@@ -352,7 +352,7 @@ def blocks(n: int, width: int) -> Iterator[slice]:
 
 
 def check_spread(points: Floats) -> None:
-    """Refuse fewer than three control points, control points on a line, and coincident ones.
+    """Refuse fewer than three control points, control points on a line, coincident ones, and those too close for areas.
 
     Examples
     --------
@@ -363,6 +363,7 @@ def check_spread(points: Floats) -> None:
     name = "control_points"
     if len(points) < 3:
         check.refuse(name, "There must be 3 or more.", f"{len(points)}")
+    check_extent(points, name)
     if thinness(points) <= NEAR_LINE:
         rule = f"They must not lie on a line, to within {NEAR_LINE:g} of their extent."
         check.refuse(name, rule, f"{len(points)} points on a line")

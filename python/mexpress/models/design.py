@@ -288,8 +288,15 @@ class LinearDesign(Design[ModelT]):
     def model(self, x: ArrayLike, count: int | None = None, smoothing: float = 0.0) -> ModelT:
         """Return the model of a solution, see `Design`."""
         count = self.count if count is None else count
-        parameters = self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
-        return self._model(count, self.centre + parameters, smoothing)
+        with np.errstate(over="ignore", invalid="ignore"):
+            parameters = self.centre + self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
+        largest = float(np.abs(parameters).max())
+        if not largest <= check.LARGEST_PARAMETER:  # the user has not given them
+            rule = (
+                f"The parameters of its model must not exceed {check.LARGEST_PARAMETER:g}: take another unit."
+            )
+            check.refuse("values", rule, f"values of up to {np.abs(self.data.values).max():g}")
+        return self._model(count, parameters, smoothing)
 
     def rows_at(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the functions at points: every value is a number."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import EDGE, Region, hull, inside, nearest, without_ties
+from mexpress.geometry import EDGE, Region, hull, inside, lengths_of, nearest, without_ties
 from mexpress.index_sets import compress
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all
 from mexpress.schemes import Places, Scheme
@@ -67,7 +67,8 @@ class ErrorCurve:
         tested = np.interp(distance, self.distances, self.errors)
         if self.reach == 0:  # nothing could be tested
             return tested
-        return np.asarray(tested * np.maximum(distance / self.reach, 1))
+        with np.errstate(over="ignore"):
+            return np.asarray(tested * np.maximum(distance / self.reach, 1))
 
     @property
     def reach(self) -> float:
@@ -75,11 +76,15 @@ class ErrorCurve:
         return float(self.distances[-1])
 
     @classmethod
-    def through(cls, distances: Floats, squares: Floats, weights: Floats) -> Self | None:
+    def through(cls, distances: Floats, errors: Floats, weights: Floats) -> Self | None:
         """Average squared errors in groups of similar distances, and make the averages monotone; None without data.
 
         NaN marks what is undefined. The curve ends before the first group of which half is undefined.
         """
+        unit = (
+            np.abs(errors).max(initial=0.0, where=np.isfinite(errors)) or 1.0
+        )  # squares of errors may be no numbers
+        squares = (errors / unit) ** 2
         order = np.argsort(distances, kind="stable")
         number = max(1, math.ceil(len(order) / np.clip(len(order) // _KNOTS, _SMALLEST, _LARGEST)))
         groups = []
@@ -92,9 +97,8 @@ class ErrorCurve:
         if not groups:
             return None
         where, averages, sizes = np.array(groups).T
-        return cls(
-            np.maximum.accumulate(where), np.sqrt(increasing(averages, sizes))
-        )  # rounding may mix equal ones
+        # Rounding may mix equal distances.
+        return cls(np.maximum.accumulate(where), unit * np.sqrt(increasing(averages, sizes)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,12 +158,12 @@ class ErrorCurves:
         residuals = cross_validate_all(fit, {"": scheme}, None)[""].residuals
         data = validated.indices
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            squares = (residuals.reshape(len(data), -1) ** 2).sum(axis=1) / units[data] ** 2
+            errors = lengths_of(residuals.reshape(len(data), -1)) / units[data]
         distances = without_ties(np.concatenate([gap.distances for gap in gaps]))
         outside = np.concatenate([gap.outside for gap in gaps])
         shares = np.ones(len(data)) if weights is None else weights[data]
         near, far = (
-            ErrorCurve.through(distances[some], squares[some], shares[some]) for some in (~outside, outside)
+            ErrorCurve.through(distances[some], errors[some], shares[some]) for some in (~outside, outside)
         )
         if near is None or far is None:
             only = near or far or ErrorCurve(np.zeros(1), np.full(1, np.inf))

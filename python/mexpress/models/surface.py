@@ -145,7 +145,7 @@ class Surface(FittedModel):
     kind: ClassVar[str] = "surface"
 
     def _checked_parameters(self) -> Floats:
-        return check.columns(self.parameters, "parameters", len(self.control_points))
+        return check.columns(self.parameters, "parameters", len(self.control_points), check.LARGEST_PARAMETER)
 
     def __repr__(self) -> str:
         what = "depth" if self._dimension == 1 else f"{self._dimension} values"

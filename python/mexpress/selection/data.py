@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.geometry import Region, diagonal, hull
+from mexpress.geometry import Region, check_extent, diagonal, hull
 from mexpress.models import Basis, Design, Surface, Warp, fractional_design, linear_design
 from mexpress.selection import incomplete
 from mexpress.selection.incomplete import RAISE, filled, filled_weights, spread
@@ -68,6 +68,7 @@ class Matches:
         if len(source) != len(target):
             rule = "It must have one point per source point."
             check.refuse("target", rule, f"{len(target)} for {len(source)}")
+        check_extent(target, "target")
         size, shares = check.image_size(image_size), _weights(weights, len(source))
         return cls(source, target, shares, size)
 

@@ -17,12 +17,13 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
-from mexpress.geometry import diagonal, lattice
+from mexpress.geometry import diagonal, lattice, lengths_of
 from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
 from mexpress.selection.data import Data, Matches, is_speck
 from mexpress.selection.selection import Selection
+from mexpress.suspicion import deviation
 
 _APART, _WORSE = 2.0, 1.2
 """Criteria disagree if one selects twice the parameters of the other, and finds the other's model 20 % worse."""
@@ -92,7 +93,7 @@ class Subject:
     @cached_property
     def sizes(self) -> Floats:
         """Norms of the residuals, (n,)."""
-        return np.asarray(np.linalg.norm(self.residuals, axis=1))
+        return lengths_of(self.residuals)
 
     @cached_property
     def places(self) -> int:
@@ -104,7 +105,7 @@ class Subject:
         """Whether the residuals are of rounding, or too few are known."""
         known = np.isfinite(self.sizes)
         values = self.data.values.reshape(len(known), -1)
-        spread = math.sqrt(values.var(axis=0).sum())
+        spread = math.sqrt(values.shape[1]) * deviation(values)
         rounding = max(_ROUNDING * spread, 16 * float(np.spacing(np.abs(values).max())))
         return bool(known.sum() < _FEWEST or np.median(self.sizes[known]) <= rounding)
 
@@ -117,9 +118,10 @@ class Subject:
         if not self.scores.effective_parameters > _FLEXIBLE * self.data.values.size:
             return self.sizes
         fit = self.least_squares()
-        squares = (fit.residuals**2).reshape(len(fit.residuals), -1).sum(axis=1)
-        squares /= np.maximum(1 - fit.leverage, np.finfo(float).eps)
-        return np.asarray(np.sqrt(np.bincount(datum_of_row(fit), squares, fit.n_data)))
+        lengths = lengths_of(fit.residuals.reshape(len(fit.residuals), -1))
+        unit = lengths.max() or 1.0
+        squares = (lengths / unit) ** 2 / np.maximum(1 - fit.leverage, np.finfo(float).eps)
+        return np.asarray(unit * np.sqrt(np.bincount(datum_of_row(fit), squares, fit.n_data)))
 
     @cached_property
     def lonely(self) -> Any:
@@ -136,7 +138,8 @@ class Subject:
         sizes = self.studentised
         if self.exact or _rms(sizes) <= _HEAVY * np.nanmedian(sizes):
             return False
-        return bool((sizes[self.lonely] ** 2).sum() > _ENERGY * np.nansum(sizes**2))
+        squares = (sizes / np.nanmax(sizes)) ** 2
+        return bool(squares[self.lonely].sum() > _ENERGY * np.nansum(squares))
 
     @cached_property
     def by_weight(self) -> bool:
@@ -249,7 +252,8 @@ def _wrong_data(subject: Subject) -> Iterator[str]:
 
 
 def _rms(sizes: Floats) -> float:
-    return math.sqrt(np.nanmean(sizes**2))
+    unit = float(np.nanmax(sizes)) or 1.0  # squares of sizes may be no numbers
+    return unit * math.sqrt(np.nanmean((sizes / unit) ** 2))
 
 
 def _failures(subject: Subject) -> Iterator[str]:
@@ -336,7 +340,7 @@ def _stiffness(subject: Subject) -> Iterator[str]:
     if subject.exact or subject.looks_wrong:
         return
     pairs = Places(subject.data.points).neighbours(2)
-    differences = np.linalg.norm(np.subtract(*subject.residuals[pairs.T]), axis=1) / math.sqrt(2)
+    differences = lengths_of(np.subtract(*subject.residuals[pairs.T])) / math.sqrt(2)
     size, noise = float(np.nanmedian(subject.sizes)), float(np.nanmedian(differences))
     if size > _TOO_STIFF * noise:
         yield (

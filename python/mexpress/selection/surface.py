@@ -124,7 +124,7 @@ def select_surface(
         weights, 175.
     min_distance : float, optional
         Smallest distance of control points with "residual" placement, in the unit of the points; 2.5 % of the diagonal
-        by default, see `mexpress.placement.by_residual`.
+        by default, see `mexpress.placement.by_residual`. An error with another placement.
     smoothing : float, list of float or "auto", default "auto"
         Weight of the bending energy, which is added to the sum of squared residuals. A larger weight gives a stiffer
         surface, in the limit a plane. Of several weights, the best is selected together with the count. "auto" tries
@@ -189,12 +189,16 @@ def select_surface(
     functions = lifting_named(lifting)
     usual = surface_defaults(len(present(data)), smoothing)
     choices = "residual", "nested", "lloyd"
+    spread = checked_placement(placement, functions, choices, usual.placement)
+    if min_distance is not None and spread != "residual":
+        rule = 'It applies to placement="residual" alone, which must then be given, or smoothing=0.'
+        check.refuse("min_distance", rule, f'{check.describe(min_distance)} with placement "{spread}"')
     question = SurfaceQuestion(
         usual.criterion if criterion is None else criterion,
         functions,
         None if max_count is None else check.count(max_count, "max_count", 3),
         min_distance,
-        checked_placement(placement, functions, choices, usual.placement),
+        spread,
         smoothing,
         queries,
         seed,
