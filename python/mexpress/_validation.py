@@ -167,6 +167,16 @@ def as_rows(array: NDArray[Any]) -> NDArray[Any]:
     return array.reshape(-1, 2) if array.ndim == 3 and 1 in array.shape[:2] and array.shape[2] == 2 else array
 
 
+def whole_rows(**tables: Floats) -> NDArray[np.bool_]:
+    """Which rows are finite in all of some tables, equally long and called by their names; there must be one."""
+    known = np.logical_and.reduce(
+        [np.isfinite(table).all(axis=tuple(range(1, table.ndim))) for table in tables.values()]
+    )
+    if len(known) and not known.any():
+        refuse(next(iter(tables)), "There must be rows that are whole.", f"0 of {len(known)}")
+    return np.asarray(known)
+
+
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     """At least one finite point, (n, dimension); one to three coordinates if dimension is None; OpenCV's shapes too."""
     array: Floats = as_rows(real(value, name))

@@ -138,3 +138,9 @@ def test_messages_count_all_rows(gap, weights, says):
 def test_what_is_refused(call, values, missing, says):
     with pytest.raises((ValueError, TypeError), match=rf"^Invalid {says}"):
         call(SOURCE, values, missing=missing)
+
+
+@pytest.mark.parametrize("select", [mx.select_surface, mx.select_warp])
+def test_no_data_at_all_are_refused_by_name(select):
+    with pytest.raises(ValueError, match=r"^Invalid (points|source)\. .*Given shape \(0, 2\)"):
+        select(np.empty((0, 2)), np.empty((0, 2)), missing="drop")

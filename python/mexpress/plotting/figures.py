@@ -55,16 +55,13 @@ def frame(axes: Axes, points: Floats, y_down: bool = True) -> None:
 
 def known_rows(aside: Aside | None, **arrays: ArrayLike) -> tuple[list[Floats], Aside]:
     """Return the rows of arrays that are finite in all of them, and which of these rows are not in a fit."""
-    rows = {name: check.as_rows(check.real(array, name)) for name, array in arrays.items()}
-    first = next(iter(rows))
-    known = np.ones(np.atleast_1d(rows[first]).shape[:1], np.bool_)
-    for name, array in rows.items():
-        if array.shape[:1] != known.shape:
-            check.refuse(name, f"It must have {len(known)} rows, one for each datum.", f"shape {array.shape}")
-        known &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
-    if len(known) and not known.any():
-        check.refuse(first, "There must be rows that are whole.", f"0 of {len(known)}")
-    return [array[known] for array in rows.values()], (aside or Aside()).among(known)
+    tables = {name: check.as_rows(check.real(array, name)) for name, array in arrays.items()}
+    n = np.atleast_1d(next(iter(tables.values()))).shape[0]
+    for name, table in tables.items():
+        if table.shape[:1] != (n,):
+            check.refuse(name, f"It must have {n} rows, one for each datum.", f"shape {table.shape}")
+    known = check.whole_rows(**tables)
+    return [table[known] for table in tables.values()], (aside or Aside()).among(known)
 
 
 @dataclass(frozen=True)

@@ -59,26 +59,24 @@ def complete_rows(missing: str, **arrays: ArrayLike | None) -> NDArray[np.bool_]
             if np.ndim(numbers := check.real(array, name)):
                 check.finite(numbers, name, _RULE)
         return None
-    masks = {name: _finite_rows(array, name) for name, array in given.items()}
-    first, *others = masks
+    tables = {name: _unmasked(array, name) for name, array in given.items()}
+    first, *others = tables
     for name in others:
-        if len(masks[name]) != len(masks[first]):
+        if len(tables[name]) != len(tables[first]):
             rule = f"It must have as many rows as {first}."
-            check.refuse(name, rule, f"{len(masks[name])} for {len(masks[first])}")
-    known = np.logical_and.reduce(list(masks.values()))
-    if len(known) and not known.any():
-        check.refuse(first, "There must be rows that are whole.", f"0 of {len(known)}")
+            check.refuse(name, rule, f"{len(tables[name])} for {len(tables[first])}")
+    known = check.whole_rows(**tables)
     return None if known.all() else known
 
 
-def _finite_rows(array: ArrayLike, name: str) -> NDArray[np.bool_]:
-    numbers = check.as_rows(check.real(_beneath(array), name))
+def _unmasked(array: ArrayLike, name: str) -> Floats:
+    """Return a table of numbers, NaN where they are masked."""
+    numbers: Floats = check.real(_beneath(array), name)
     if numbers.ndim == 0:
         check.refuse(name, "It must be an array with a row for each datum.", check.describe(array))
-    there: NDArray[np.bool_] = np.isfinite(numbers)
-    if isinstance(array, np.ma.MaskedArray):
-        there &= ~check.as_rows(np.ma.getmaskarray(array))
-    return np.asarray(there.reshape(len(there), -1).all(axis=1))
+    if np.ma.is_masked(array):
+        numbers = np.where(np.ma.getmaskarray(np.ma.asarray(array)), np.nan, numbers)
+    return np.asarray(check.as_rows(numbers))
 
 
 def filled(array: Any, known: NDArray[np.bool_]) -> Any:
