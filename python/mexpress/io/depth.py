@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.io.missing import Missing
-from mexpress.io.raster import Raster
+from mexpress.io.raster import UNSCALED, Raster
 
 _MILLIMETRES = 1000.0
 
@@ -48,7 +48,7 @@ class DepthMap(NamedTuple):
     raw: NDArray[Any]
     zero_is_missing: bool
     missing: Missing = Missing()
-    scaling: tuple[float, float] = (1.0, 0.0)
+    scaling: tuple[float, float] = UNSCALED
     scale: float = 1.0
     unit: str | None = None
     intrinsics: tuple[float, float, float, float] | None = None
@@ -150,6 +150,6 @@ def depth_of_raster(raster: Raster, place: str) -> DepthMap:
     depth = depth_of_array(raster.upright(), place)._replace(
         zero_is_missing=False, missing=Missing(raster.no_data), scaling=raster.scaling
     )
-    if raster.pixels.dtype.kind != "u" or raster.georeferenced or raster.scaling != (1.0, 0.0):
+    if raster.pixels.dtype.kind != "u" or raster.georeferenced or raster.scaling != UNSCALED:
         return depth
     return depth._replace(zero_is_missing=not raster.no_data, scale=_MILLIMETRES, unit="m")

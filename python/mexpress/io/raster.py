@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+UNSCALED = 1.0, 0.0
+"""The scale and the offset of numbers that mean what they are."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Raster:
@@ -38,7 +41,7 @@ class Raster:
     georeferenced: bool = False
     orientation: int = 1
     white: int | None = None
-    scaling: tuple[float, float] = (1.0, 0.0)
+    scaling: tuple[float, float] = UNSCALED
 
     def upright(self) -> NDArray[Any]:
         """Return the pixels as they are to be seen.

@@ -94,7 +94,6 @@ class PenaltyPath:
         # With fewer rows than unknowns the basis has other columns than the design.
         source = (A, np.sqrt(weight) * Z) if basis.shape[1] == A.shape[1] else None
         model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads, weights, source)
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # residuals are finite where coefficients are too large
+        # Residuals are finite where coefficients are too large.
+        with np.errstate(over="ignore", invalid="ignore"):
             return FittedAt(model, np.asarray((self._back / lengths) @ model.coefficients))

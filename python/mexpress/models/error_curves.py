@@ -81,9 +81,8 @@ class ErrorCurve:
 
         NaN marks what is undefined. The curve ends before the first group of which half is undefined.
         """
-        unit = (
-            np.abs(errors).max(initial=0.0, where=np.isfinite(errors)) or 1.0
-        )  # squares of errors may be no numbers
+        # Squares of errors may be no numbers.
+        unit = np.abs(errors).max(initial=0.0, where=np.isfinite(errors)) or 1.0
         squares = (errors / unit) ** 2
         order = np.argsort(distances, kind="stable")
         number = max(1, math.ceil(len(order) / np.clip(len(order) // _KNOTS, _SMALLEST, _LARGEST)))

@@ -119,9 +119,10 @@ class Subject:
             return self.sizes
         fit = self.least_squares()
         lengths = lengths_of(fit.residuals.reshape(len(fit.residuals), -1))
-        unit = lengths.max() or 1.0
-        squares = (lengths / unit) ** 2 / np.maximum(1 - fit.leverage, np.finfo(float).eps)
-        return np.asarray(unit * np.sqrt(np.bincount(datum_of_row(fit), squares, fit.n_data)))
+        lengths /= np.sqrt(np.maximum(1 - fit.leverage, np.finfo(float).eps))
+        sizes = np.zeros(fit.n_data)
+        np.hypot.at(sizes, datum_of_row(fit), lengths)  # squares of lengths may be no numbers
+        return sizes
 
     @cached_property
     def lonely(self) -> Any:
