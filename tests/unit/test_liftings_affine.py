@@ -225,3 +225,47 @@ def test_the_cells_of_a_grid_are_cut_the_same_way_in_every_unit_and_from_every_o
     diagonals = here.sides[(np.abs(here.sides) > 1e-6).all(axis=2)]
     assert len(diagonals) == 2 * 6 * 7
     assert len(np.unique(np.sign(diagonals.prod(axis=1)))) == 1
+
+
+def solutions(centres, parameters, position):
+    """Points of all triangles, one by one, whose image is a position, and their denominators."""
+    found = []
+    for corners in Triangulation(centres).corners:
+        numerators, denominators = parameters[corners, :2], parameters[corners, 2]
+        system = np.vstack([(numerators - position * denominators[:, None]).T, np.ones(3)])
+        shares = np.linalg.solve(system, [0.0, 0.0, 1.0])
+        if (shares >= 0).all():
+            found.append((shares @ centres[corners], shares @ denominators))
+    return found
+
+
+@pytest.mark.parametrize("bend", [0.1, 1.5])
+@pytest.mark.parametrize("front", [1.0, -1.0])
+@pytest.mark.parametrize("least", [0.01, 0.4])
+def test_a_preimage_is_the_only_solution_in_all_triangles(bend, front, least):
+    random, centres = np.random.default_rng(7), scattered(40)
+    denominators = front * (0.1 * centres[:, :1] - 0.2)  # the horizon is x = 2
+    numerators = (centres + random.normal(0, bend, centres.shape)) * denominators
+    parameters = np.column_stack([numerators, denominators])
+    positions = random.uniform(-2, 12, (400, 2))
+    found = PiecewiseAffine(centres).preimages(positions, front * parameters, least)
+    counts = []
+    for position, point in zip(positions, found, strict=True):
+        expected = [at for at, w in solutions(centres, parameters, position) if front * w > least]
+        counts.append(len(expected))
+        if len(expected) == 1:
+            np.testing.assert_allclose(point, expected[0], rtol=0, atol=1e-9)
+        else:
+            assert np.isnan(point).all()
+    assert min(counts.count(0), counts.count(1)) > 20
+    assert bend < 1 or counts.count(2) + counts.count(3) > 20
+
+
+def test_a_corner_and_an_edge_have_one_preimage_and_a_position_that_is_none_has_none():
+    centres = grid(7, 5)
+    between = (centres[1:] + centres[:-1]) / 2
+    positions = np.vstack([centres, between, [[np.nan, 1.0], [np.inf, 1.0], [1e100, -1e100]]])
+    found = PiecewiseAffine(centres).preimages(positions, centres, 0.5)
+    np.testing.assert_allclose(found[:-3], positions[:-3], rtol=0, atol=1e-12)
+    assert np.isnan(found[-3:]).all()
+    assert np.isnan(PiecewiseAffine(centres).preimages(positions, 0 * centres, 0.5)).all()

@@ -107,13 +107,13 @@ class PiecewiseAffine(LocalLifting):
         """Return the control points of `place` over a known region."""
         return _place(region, count)
 
-    def preimages(self, positions: Floats, parameters: Floats, least: float = 0.0) -> Floats:
+    def preimages(self, positions: Floats, parameters: Floats, least: float) -> Floats:
         """Return the points that a map takes to positions: inside the triangles, where there is exactly one.
 
         Examples
         --------
         >>> hats = PiecewiseAffine([[0, 0], [2, 0], [0, 2]])
-        >>> hats.preimages(np.array([[15.0, 5.0], [9.0, 99.0]]), np.array([[10.0, 0], [20, 0], [10, 10]]))
+        >>> hats.preimages(np.array([[15.0, 5.0], [9.0, 99.0]]), np.array([[10.0, 0], [20, 0], [10, 10]]), 0.5)
         array([[ 1.,  1.],
                [nan, nan]])
         """

@@ -200,7 +200,7 @@ class Lifting(ABC):
             slopes[rows] = (self.derivatives(points[rows]).transpose(0, 2, 1) @ parameters).transpose(0, 2, 1)
         return slopes
 
-    def preimages(self, positions: Floats, parameters: Floats, least: float = 0.0) -> Floats:
+    def preimages(self, positions: Floats, parameters: Floats, least: float) -> Floats:
         """Return the points that a map takes to positions, as far as the lifting can tell without search.
 
         Parameters
@@ -210,7 +210,7 @@ class Lifting(ABC):
         parameters : ndarray, (l, 2) or (l, 3)
             The map: two functions, or two that are divided by a third.
         least : float
-            Denominators up to this are those of no solution.
+            A number above zero; points with a denominator up to that are no solutions. Without denominators they are 1.
 
         Returns
         -------
@@ -221,7 +221,7 @@ class Lifting(ABC):
         Examples
         --------
         >>> plane = make_lifting("tps", [[0, 0], [1, 0], [0, 1]])
-        >>> plane.preimages(np.array([[2.0, 0.5]]), plane.control_points)
+        >>> plane.preimages(np.array([[2.0, 0.5]]), plane.control_points, 0.5)
         array([[nan, nan]])
         """
         return np.full((len(positions), 2), np.nan)

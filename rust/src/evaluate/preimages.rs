@@ -19,13 +19,13 @@ pub type Corner = [f64; 5];
 
 /// The points of the triangles that are mapped to given positions: NaN where there is none, or more than one.
 ///
-/// What has a denominator of at most `least` is left out; that is not negative.
+/// What has a denominator of at most `least`, which is above zero, is left out.
 ///
 /// ```
 /// use mexpress::evaluate::preimages::preimages;
 /// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let road = [[0.0, 0.0, 0.0, 0.0, 1.0], [4.0, 0.0, 4.0, 0.0, 1.0], [0.0, 4.0, 0.0, 4.0, 3.0]];
-/// let found = preimages(&[0.0, 1.0, 9.0, 9.0], &[road], 0.0, &mexpress::pool::Pool::new(1, &flag))?;
+/// let found = preimages(&[0.0, 1.0, 9.0, 9.0], &[road], 0.1, &mexpress::pool::Pool::new(1, &flag))?;
 /// assert_eq!(found[..2], [0.0, 2.0]); // (0, 2) / (1 + 2 / 2)
 /// assert!(found[2].is_nan());
 /// # Ok::<(), mexpress::error::Error>(())
@@ -108,13 +108,13 @@ mod tests {
         let folded =
             [corner(1.0, 1.0, [0.1, 0.1]), corner(0.0, 1.0, [0.0, 1.0]), corner(1.0, 0.0, [1.0, 0.0])];
         let positions = [0.5, 0.5, 0.3, 0.3, 0.01, 0.01];
-        assert_eq!(preimages(&positions, &[first, flat], 0.0, &pool).unwrap(), positions);
-        let found = preimages(&positions, &[first, folded], 0.0, &pool).unwrap();
+        assert_eq!(preimages(&positions, &[first, flat], 0.5, &pool).unwrap(), positions);
+        let found = preimages(&positions, &[first, folded], 0.5, &pool).unwrap();
         assert_eq!(found[..2], [0.5, 0.5]);
         assert!(found[2].is_nan() && found[3].is_nan());
         assert_eq!(found[4..], [0.01, 0.01]);
-        assert!(preimages(&[], &[first], 0.0, &pool).unwrap().is_empty());
-        assert!(preimages(&positions, &[], 0.0, &pool).unwrap().iter().all(|x| x.is_nan()));
+        assert!(preimages(&[], &[first], 0.5, &pool).unwrap().is_empty());
+        assert!(preimages(&positions, &[], 0.5, &pool).unwrap().iter().all(|x| x.is_nan()));
     }
 
     #[test]
