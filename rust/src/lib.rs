@@ -44,6 +44,10 @@
 //! | [`place::lloyd`] | Lloyd's algorithm for control points |
 //! | [`place::by_residual`] | control points that arrive where residuals are largest |
 //! | [`evaluate::spline`] | thin-plate splines and their slopes at many points |
+//! | [`evaluate::local`] | functions of which few are nonzero at a point, at many points |
+//! | [`evaluate::bspline`], [`evaluate::hats`] | B-splines; hat functions over triangles, and outside of them |
+//! | [`evaluate::triangles`] | which triangles hold a point |
+//! | [`evaluate::preimages`] | which point a piecewise affine map maps to a given one |
 //! | [`sets`] | index sets in compressed rows |
 //! | [`pool`] | threads, cancellation, `fork` |
 //! | [`error`] | what can go wrong |

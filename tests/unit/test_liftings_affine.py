@@ -79,11 +79,19 @@ def test_triangles_cover_the_hull_once_and_every_point_is_a_corner(name):
     assert (ends[:, 1:] == other).any(axis=1).all()
 
 
+def located(points, at):
+    """Triangle whose corners' functions are nonzero at places; -1 outside, where there are more of them."""
+    number = {tuple(corners): t for t, corners in enumerate(Triangulation(points).corners)}
+    functions, elements = PiecewiseAffine(points)._functions.elements(at, 0)
+    rows = functions.reshape(elements.shape)
+    return np.array([-1 if row[3:].any() else number[tuple(row[:3])] for row in rows])
+
+
 @pytest.mark.parametrize("name", SETS)
 def test_a_point_is_in_the_triangle_that_is_found(name):
     mesh, points = Triangulation(SETS[name]), around(SETS[name])
     points = np.vstack([points, SETS[name], (SETS[name] + np.roll(SETS[name], 1, axis=0)) / 2])
-    found = mesh.locate(points)
+    found = located(SETS[name], points)
     corners = mesh.points[mesh.corners]
     # Every triangle is asked, as nothing else than the plain definition does.
     offset = points[:, None, None] - corners
@@ -198,12 +206,10 @@ def test_placed_control_points_are_three_or_a_grid_around_the_data():
         assert (hats.basis(points) > -1e-12).all()
 
 
-def test_points_on_a_long_walk_arrive():
+def test_points_in_a_crowd_of_tiny_triangles_are_found():
     centres = np.vstack([equilateral(40, 60) / 5000, [[1.0, 0], [0, 1.0], [-1.0, -1.0]]])
-    mesh = Triangulation(centres)
     points = np.random.default_rng(2).uniform(0, 0.008, (2000, 2))
-    found = mesh.locate(points)
-    assert (found >= 0).all()
+    assert (located(centres, points) >= 0).all()
     weights = PiecewiseAffine(centres).basis(points[:200])
     assert weights.min() > -1e-9
     np.testing.assert_allclose(weights @ centres, points[:200], atol=1e-9)
@@ -219,3 +225,47 @@ def test_the_cells_of_a_grid_are_cut_the_same_way_in_every_unit_and_from_every_o
     diagonals = here.sides[(np.abs(here.sides) > 1e-6).all(axis=2)]
     assert len(diagonals) == 2 * 6 * 7
     assert len(np.unique(np.sign(diagonals.prod(axis=1)))) == 1
+
+
+def solutions(centres, parameters, position):
+    """Points of all triangles, one by one, whose image is a position, and their denominators."""
+    found = []
+    for corners in Triangulation(centres).corners:
+        numerators, denominators = parameters[corners, :2], parameters[corners, 2]
+        system = np.vstack([(numerators - position * denominators[:, None]).T, np.ones(3)])
+        shares = np.linalg.solve(system, [0.0, 0.0, 1.0])
+        if (shares >= 0).all():
+            found.append((shares @ centres[corners], shares @ denominators))
+    return found
+
+
+@pytest.mark.parametrize("bend", [0.1, 1.5])
+@pytest.mark.parametrize("front", [1.0, -1.0])
+@pytest.mark.parametrize("least", [0.01, 0.4])
+def test_a_preimage_is_the_only_solution_in_all_triangles(bend, front, least):
+    random, centres = np.random.default_rng(7), scattered(40)
+    denominators = front * (0.1 * centres[:, :1] - 0.2)  # the horizon is x = 2
+    numerators = (centres + random.normal(0, bend, centres.shape)) * denominators
+    parameters = np.column_stack([numerators, denominators])
+    positions = random.uniform(-2, 12, (400, 2))
+    found = PiecewiseAffine(centres).preimages(positions, front * parameters, least)
+    counts = []
+    for position, point in zip(positions, found, strict=True):
+        expected = [at for at, w in solutions(centres, parameters, position) if front * w > least]
+        counts.append(len(expected))
+        if len(expected) == 1:
+            np.testing.assert_allclose(point, expected[0], rtol=0, atol=1e-9)
+        else:
+            assert np.isnan(point).all()
+    assert min(counts.count(0), counts.count(1)) > 20
+    assert bend < 1 or counts.count(2) + counts.count(3) > 20
+
+
+def test_a_corner_and_an_edge_have_one_preimage_and_a_position_that_is_none_has_none():
+    centres = grid(7, 5)
+    between = (centres[1:] + centres[:-1]) / 2
+    positions = np.vstack([centres, between, [[np.nan, 1.0], [np.inf, 1.0], [1e100, -1e100]]])
+    found = PiecewiseAffine(centres).preimages(positions, centres, 0.5)
+    np.testing.assert_allclose(found[:-3], positions[:-3], rtol=0, atol=1e-12)
+    assert np.isnan(found[-3:]).all()
+    assert np.isnan(PiecewiseAffine(centres).preimages(positions, 0 * centres, 0.5)).all()

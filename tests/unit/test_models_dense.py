@@ -78,14 +78,15 @@ def test_folds_and_crowded_control_points_are_within_the_tolerance(lifting, seed
     )  # a median of other samples
 
 
-@pytest.mark.parametrize("lifting", ["tps", "bspline"])
+@pytest.mark.parametrize("lifting", ["tps", "bspline", "affine"])
 def test_the_inverse_map_is_the_inverse_at_every_pixel(lifting):
     warp = bent(lifting, bend=0.01)
     assert off(warp.inverse_map(WIDTH, HEIGHT), maps_of(warp.inverse(pixels()))) <= 0.05
 
 
-def test_what_a_fold_leaves_without_a_source_has_none():
-    warp = wild(1)
+@pytest.mark.parametrize("lifting", ["tps", "affine"])
+def test_what_a_fold_leaves_without_a_source_has_none(lifting):
+    warp = wild(1, lifting)
     some = np.random.default_rng(0).integers(0, (WIDTH, HEIGHT), (2000, 2))
     found = warp.inverse_map(WIDTH, HEIGHT)[:, some[:, 1], some[:, 0]].T
     exact = warp.inverse(some)
@@ -127,6 +128,21 @@ def test_near_the_horizon_the_map_is_as_close_as_elsewhere():
     distance = np.hypot(*(found - exact))
     known = np.hypot(*exact) < 1e5  # farther, float32 has steps of 0.004 or more
     assert distance[known].max() <= 0.06 * max(side, 1)
+
+
+def test_above_the_horizon_of_a_photograph_piecewise_affine_functions_have_no_place():
+    plan = [[0, 0], [640, 0], [640, 220], [0, 220]]
+    centres = LIFTINGS["affine"].place([[0, 0], [640, 300], *plan], 30)  # triangles reach beyond the camera
+    depth = 240 - centres[:, 1]
+    image = np.column_stack([80 * depth + 100 * (centres[:, 0] - 320), 60 * depth + 100 * 30, depth])
+    warp = mx.Warp(LIFTINGS["affine"](centres), image / 130, plan)
+    found, exact = warp.inverse_map(160, 120, 1e-3), maps_of(warp.inverse(pixels(160, 120)), 160, 120)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(exact))
+    assert np.isnan(exact[:, :61]).all()
+    x, y = pixels(160, 120)[80 * 160 :].T
+    away = 100 * 30 / (y - 60)
+    expected = maps_of(np.column_stack([320 + (x - 80) * away / 100, 240 - away]), 160, 40)
+    np.testing.assert_allclose(exact[:, 80:], expected, rtol=0, atol=1e-7)
 
 
 def test_a_map_with_a_pole_and_an_edge_is_exact_in_the_end():
@@ -176,8 +192,9 @@ def test_a_bump_between_the_places_of_a_block_is_told_by_its_details():
     assert off(dense(bump, WIDTH, HEIGHT, 0.05, np.tile(place, (5, 1)), np.float64), exact) <= 0.05
 
 
-def test_maps_do_not_depend_on_threads(monkeypatch):
-    warp, found = bent(), []
+@pytest.mark.parametrize("lifting", ["tps", "bspline", "affine"])
+def test_maps_do_not_depend_on_threads(monkeypatch, lifting):
+    warp, found = bent(lifting), []
     image = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("MEXPRESS_NUM_THREADS", threads)

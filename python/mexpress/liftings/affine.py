@@ -1,23 +1,23 @@
 """Piecewise affine functions over triangles: local, but not smooth."""
 
-from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register
-from mexpress.liftings.sparse import Entries, SparseLifting
-from mexpress.liftings.triangulation import Indices, Triangulation
+from mexpress.liftings.sparse import LocalLifting
+from mexpress.liftings.triangulation import Triangulation
 
 
 @register
-class PiecewiseAffine(SparseLifting):
+class PiecewiseAffine(LocalLifting):
     """Hat functions: affine in every triangle of the Delaunay triangulation of the control points.
 
     Function k is 1 at control point k and 0 at the others, so parameters are values at the control points. At a point,
@@ -107,62 +107,32 @@ class PiecewiseAffine(SparseLifting):
         """Return the control points of `place` over a known region."""
         return _place(region, count)
 
-    def entries(self, points: Floats, along: int | None = None) -> Entries:
-        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
-        mesh = self._mesh
-        triangle = mesh.locate(points)
-        inside, outside = np.flatnonzero(triangle >= 0), np.flatnonzero(triangle < 0)
-        here = triangle[inside]
-        for k in range(3):
-            elements = mesh.gradients[here, k]
-            if along is None:
-                elements = elements * (points[inside] - self.control_points[mesh.corners[here, k - 1]])
-                yield inside, mesh.corners[here, k], elements.sum(axis=1)
-            else:
-                yield inside, mesh.corners[here, k], elements[:, along]
-        if len(outside):
-            yield from ((outside, *rest) for rest in self._outer_entries(points[outside], along))
+    def preimages(self, positions: Floats, parameters: Floats, least: float) -> Floats:
+        """Return the points that a map takes to positions: inside the triangles, where there is exactly one.
 
-    def _outer_entries(self, points: Floats, along: int | None) -> Iterator[tuple[Indices, Floats]]:
-        """Return functions and elements at points outside the hull.
-
-        f(q) = sum_v w_v (f_v + g_v . d), where v are the ends of the hull edge nearest to q, w_v are their shares in
-        the nearest point h, and d = q - h.
+        Examples
+        --------
+        >>> hats = PiecewiseAffine([[0, 0], [2, 0], [0, 2]])
+        >>> hats.preimages(np.array([[15.0, 5.0], [9.0, 99.0]]), np.array([[10.0, 0], [20, 0], [10, 10]]), 0.5)
+        array([[ 1.,  1.],
+               [nan, nan]])
         """
-        mesh, (triangle, side) = self._mesh, self._mesh.hull
-        start, edges = self.control_points[mesh.corners[triangle, side]], mesh.sides[triangle, side]
-        nearest, share, offset = _nearest(points, start, edges)
-        edge = edges[nearest]
-        shift = np.zeros_like(points)  # the derivative of d, with that of the share
-        gain = np.zeros(len(points))
-        if along is not None:
-            between = (share > 0) & (share < 1)
-            gain = np.where(between, edge[:, along] / (edge**2).sum(axis=1), 0)
-            shift[:, along] = 1
-            shift -= gain[:, None] * edge
-        here = triangle[nearest]
-        for end, (part, growth) in enumerate(((1 - share, -gain), (share, gain))):
-            corner = mesh.corners[here, (side[nearest] + end) % 3]
-            reach = part[:, None] * offset
-            if along is not None:
-                reach = growth[:, None] * offset + part[:, None] * shift
-            yield corner, part if along is None else growth
-            for beside in self._hull_triangles[corner].T:
-                for k in range(3):
-                    yield mesh.corners[beside, k], (mesh.gradients[beside, k] * reach).sum(axis=1) / 2
+        denominators = np.ones(len(parameters)) if parameters.shape[1] == 2 else parameters[:, 2]
+        maps = np.column_stack([self.control_points, parameters[:, :2], denominators])
+        corners = maps[self._mesh.corners.ravel()]
+        return _core.preimages(np.ascontiguousarray(positions), corners, least, check.threads(None))
+
+    @cached_property
+    def _functions(self) -> _core.LocalFunctions:
+        mesh = self._mesh
+        triangles, sides = (np.ascontiguousarray(numbers) for numbers in mesh.hull)
+        return _core.LocalFunctions.hats(
+            self.control_points, mesh.corners.ravel(), mesh.gradients.reshape(-1, 2), triangles, sides
+        )
 
     @cached_property
     def _mesh(self) -> Triangulation:
         return Triangulation(self.control_points)
-
-    @cached_property
-    def _hull_triangles(self) -> Indices:
-        """Return the triangles of both hull edges at a control point on the hull, (l, 2); arbitrary ones elsewhere."""
-        triangle, side = self._mesh.hull
-        triangles = np.zeros((len(self.control_points), 2), dtype=np.intp)
-        for end in range(2):
-            triangles[self._mesh.corners[triangle, (side + end) % 3], end] = triangle
-        return triangles
 
 
 def _place(region: Region, count: int) -> Floats:
@@ -170,17 +140,3 @@ def _place(region: Region, count: int) -> Floats:
         return grid(region, count)
     corners = region.corners
     return np.asarray(corners.min(axis=0) + np.array([[0, 0], [2, 0], [0, 2]]) * np.ptp(corners, axis=0))
-
-
-def _nearest(points: Floats, start: Floats, edges: Floats) -> tuple[Indices, Floats, Floats]:
-    """Return the nearest edge to each point, the share of its end in the nearest place, and the offset from there."""
-    nearest, share = np.zeros(len(points), dtype=np.intp), np.zeros(len(points))
-    offset, distance = np.zeros_like(points), np.full(len(points), np.inf)
-    for number, (corner, edge) in enumerate(zip(start, edges, strict=True)):
-        part = ((points - corner) @ edge / (edge @ edge)).clip(0, 1)
-        way = points - corner - part[:, None] * edge
-        length = np.hypot(*way.T)
-        closer = length < distance
-        nearest[closer], share[closer], offset[closer] = number, part[closer], way[closer]
-        distance[closer] = length[closer]
-    return nearest, share, offset

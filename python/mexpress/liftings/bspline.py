@@ -5,13 +5,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region
 from mexpress.liftings.grids import grid, grid_counts
 from mexpress.liftings.lifting import register
-from mexpress.liftings.sparse import Entries, SparseLifting
+from mexpress.liftings.sparse import LocalLifting
 
 _SLACK = 1e-4
 """Largest distance of a control point from the grid, as a fraction of the step."""
@@ -29,7 +30,7 @@ class _Axis(NamedTuple):
 
 
 @register
-class BSpline(SparseLifting):
+class BSpline(LocalLifting):
     """Uniform bicubic B-splines, each centred at a control point of a regular grid.
 
     At every point 16 functions are nonzero; they are positive, sum to one, and are twice continuously differentiable.
@@ -125,15 +126,10 @@ class BSpline(SparseLifting):
         """Return the control points of `place` over a known region."""
         return grid(region, count, ring=1)
 
-    def entries(self, points: Floats, along: int | None = None) -> Entries:
-        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
-        *axes, order = self._grid
-        (column, across), (row, up) = (
-            _nonzero(axis, points[:, b], b == along) for b, axis in enumerate(axes)
-        )
-        for a in range(4):
-            for b in range(4):
-                yield slice(None), order[row + a, column + b], up[a] * across[b]
+    @cached_property
+    def _functions(self) -> _core.LocalFunctions:
+        x, y, order = self._grid
+        return _core.LocalFunctions.bsplines(x, y, order.ravel())
 
     @cached_property
     def _grid(self) -> tuple[_Axis, _Axis, NDArray[np.intp]]:
@@ -162,19 +158,7 @@ def _lines(coordinates: Floats) -> tuple[_Axis, NDArray[np.intp]]:
     return _Axis(low, step, count), index
 
 
-def _nonzero(axis: _Axis, coordinates: Floats, derivative: bool) -> tuple[NDArray[np.intp], Floats]:
-    """Return the index of the first of the four nonzero functions, (n,), and the four functions, (4, n)."""
-    cells = axis.number - 3
-    place = (coordinates - axis.low) / axis.step - 1
-    inside = np.clip(place, 0, cells)
-    first = np.minimum(inside.astype(np.intp), cells - 1)
-    slope = _functions(inside - first, 1)
-    if derivative:
-        return first, slope / axis.step
-    return first, _functions(inside - first, 0) + (place - inside) * slope
-
-
-def _functions(u: Floats, order: int) -> Floats:
+def _in_a_cell(u: Floats, order: int) -> Floats:
     """Return the four functions of a cell, or their first or second derivatives by u, (4, n)."""
     zero = np.zeros_like(u)
     powers = ([zero + 1, u, u**2, u**3], [zero, zero + 1, 2 * u, 3 * u**2], [zero, zero, zero + 2, 6 * u])
@@ -188,7 +172,7 @@ def _factors(axis: _Axis) -> list[Floats]:
     factors = []
     for k in range(3):
         rows = np.zeros((cells, 4, axis.number))
-        here = _functions((nodes + 1) / 2, k).T * np.sqrt(weights / 2 * axis.step)[:, None] / axis.step**k
+        here = _in_a_cell((nodes + 1) / 2, k).T * np.sqrt(weights / 2 * axis.step)[:, None] / axis.step**k
         for cell in range(cells):
             rows[cell, :, cell : cell + 4] = here
         factors.append(np.linalg.qr(rows.reshape(-1, axis.number)).R)

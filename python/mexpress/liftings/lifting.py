@@ -200,6 +200,32 @@ class Lifting(ABC):
             slopes[rows] = (self.derivatives(points[rows]).transpose(0, 2, 1) @ parameters).transpose(0, 2, 1)
         return slopes
 
+    def preimages(self, positions: Floats, parameters: Floats, least: float) -> Floats:
+        """Return the points that a map takes to positions, as far as the lifting can tell without search.
+
+        Parameters
+        ----------
+        positions : ndarray, (n, 2)
+            Values of the map.
+        parameters : ndarray, (l, 2) or (l, 3)
+            The map: two functions, or two that are divided by a third.
+        least : float
+            A number above zero; points with a denominator up to that are no solutions. Without denominators they are 1.
+
+        Returns
+        -------
+        ndarray, (n, 2)
+            Points to within rounding; NaN where there is none, where there are several, and where it is not known: by
+            default, everywhere.
+
+        Examples
+        --------
+        >>> plane = make_lifting("tps", [[0, 0], [1, 0], [0, 1]])
+        >>> plane.preimages(np.array([[2.0, 0.5]]), plane.control_points, 0.5)
+        array([[nan, nan]])
+        """
+        return np.full((len(positions), 2), np.nan)
+
     @classmethod
     def counts(cls, region: Floats, largest: int) -> list[int]:
         """Return the possible numbers of control points over a region, increasing.

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.liftings.lifting import Lifting, blocks
@@ -94,3 +95,33 @@ class SparseLifting(Lifting):
             for rows, functions, elements in self.entries(points[block], along):
                 here[rows] += elements[:, None] * parameters[functions]
         return product
+
+
+class LocalLifting(SparseLifting):
+    """A sparse lifting that the core evaluates, on all threads."""
+
+    @property
+    @abstractmethod
+    def _functions(self) -> _core.LocalFunctions:
+        """What the core knows of the functions."""
+
+    def entries(self, points: Floats, along: int | None = None) -> Entries:
+        """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
+        order = 0 if along is None else along + 1
+        functions, elements = self._functions.elements(np.ascontiguousarray(points), order)
+        for here, column in zip(functions.reshape(elements.shape).T, elements.T, strict=True):
+            if len(rows := np.flatnonzero(column)):
+                yield rows, here[rows], column[rows]
+
+    def values(self, points: Floats, parameters: Floats) -> Floats:
+        """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
+        return self._functions.values(*_for_the_core(points, parameters))
+
+    def slopes(self, points: Floats, parameters: Floats) -> Floats:
+        """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
+        slopes = self._functions.slopes(*_for_the_core(points, parameters))
+        return slopes.reshape(len(points), parameters.shape[1], 2)
+
+
+def _for_the_core(points: Floats, parameters: Floats) -> tuple[Floats, Floats, int]:
+    return np.ascontiguousarray(points), np.ascontiguousarray(parameters), check.threads(None)

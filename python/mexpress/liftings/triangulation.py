@@ -1,4 +1,4 @@
-"""Delaunay triangulation: triangles, hull, and the triangle of a point."""
+"""Delaunay triangulation: triangles, their neighbours, and the hull."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -21,9 +21,6 @@ _SHEAR = 2.0**-20
 
 _NEXT = np.array([1, 2, 0])
 
-_SLACK = 1e-12
-"""A point is in a triangle if no barycentric coordinate is below minus this, because of rounding."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Triangulation:
@@ -39,11 +36,11 @@ class Triangulation:
     >>> square = Triangulation(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]]))
     >>> square
     Triangulation(5 points, 4 triangles)
-    >>> found = square.locate(np.array([[0.5, 0.1], [2.0, 0.5]]))
-    >>> found >= 0
-    array([ True, False])
-    >>> square.corners[found[0]]
-    array([0, 1, 4])
+    >>> square.corners
+    array([[0, 1, 4],
+           [0, 4, 3],
+           [1, 2, 4],
+           [2, 3, 4]])
     """
 
     points: Floats
@@ -95,52 +92,6 @@ class Triangulation:
         """Triangle and side of every edge of the hull, (h,) each."""
         triangle, side = np.nonzero(self.neighbours < 0)
         return triangle, side
-
-    def locate(self, points: Floats) -> Indices:
-        """Return the triangle of each of n points, (n,); negative for a point outside the hull.
-
-        A visibility walk moves to a neighbour across a side that separates the point from the triangle, and ends in a
-        Delaunay triangulation. It starts at the triangle at the middle of the point's cell in a grid.
-        """
-        return self._walk(points, self._cells[1][self._cell_of(points)])
-
-    def _walk(self, points: Floats, start: Indices) -> Indices:
-        """Return the triangle where the walk ends, or ~t if it leaves the hull from triangle t."""
-        at, came = start.copy(), np.full(len(points), -2)
-        walking = np.arange(len(points))
-        for _ in range(2 * len(self.corners)):  # enough, except for ties by rounding
-            here = at[walking]
-            offset = points[walking, None] - self.points[self.corners[here]]
-            side = self.sides[here]
-            beyond = side[..., 0] * offset[..., 1] - side[..., 1] * offset[..., 0]
-            limit = -2 * _SLACK * self.areas[here, None]
-            # Not back: a point between two triangles would go back and forth.
-            beyond[self.neighbours[here] == came[walking, None]] = np.inf
-            across = beyond.argmin(axis=1)
-            rows = np.flatnonzero(np.take_along_axis(beyond - limit, across[:, None], axis=1)[:, 0] < 0)
-            if not len(rows):
-                break
-            walking, here = walking[rows], here[rows]
-            target = self.neighbours[here, across[rows]]
-            at[walking] = np.where(target < 0, ~here, target)
-            came[walking] = here
-            walking = walking[target >= 0]
-        return at
-
-    @cached_property
-    def _cells(self) -> tuple[tuple[Floats, Floats, int], Indices]:
-        """Return the corner, size and number along each axis of the cells of a grid, and a triangle for each cell."""
-        low, extent = self.points.min(axis=0), np.ptp(self.points, axis=0)
-        count = int(np.ceil(np.sqrt(len(self.corners))))
-        middle = (np.arange(count) + 0.5) / count
-        centres = low + np.column_stack([np.tile(middle, count), np.repeat(middle, count)]) * extent
-        found = self._walk(centres, np.zeros(count**2, dtype=np.intp))
-        return (low, extent / count, count), np.where(found < 0, ~found, found)
-
-    def _cell_of(self, points: Floats) -> Indices:
-        low, size, count = self._cells[0]
-        column, row = ((points - low) / size).clip(0, count - 1).astype(np.intp).T
-        return np.asarray(column + count * row)
 
 
 def _doubled_area(corners: Floats) -> Floats:

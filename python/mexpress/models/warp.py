@@ -240,7 +240,8 @@ class Warp(FittedModel):
         """Find points of the source image that map to given points of the target image.
 
         The method is Newton's with halved steps, started at the sample of the domain with the nearest image. If the
-        warp folds, there are several solutions, and one of them is found.
+        warp folds, there are several solutions, and one of them is found. Where a piecewise affine warp has exactly one
+        inside its triangles, that is found without steps.
 
         Parameters
         ----------
@@ -275,11 +276,24 @@ class Warp(FittedModel):
         usable = self._samples[~self.vanishes(self._samples)]
         if not len(usable):
             return np.full_like(points, np.nan)
-        images, stretch = self._map(usable), np.linalg.norm(self._jacobian(usable), axis=(1, 2))
-        start = nearest(points, images)[0]
-        sources, targets = usable[start], points - self._centred[0]
+        images = self._map(usable)
         if tolerance is None:
             tolerance = _TOLERANCE * float(np.median(_norm(images - np.median(images, axis=0))))
+        targets, front = points - self._centred[0], np.sign(self._usual)
+        sources = self.lifting.preimages(targets, front * self._centred[1], _HORIZON * front * self._usual)
+        far = ~(
+            _norm(targets - row_by_row(sources, self._map_about)) <= tolerance
+        )  # where there is none, too
+        if far.any():
+            sources[far] = self._search(points[far], usable, images, tolerance, max_steps)
+        return sources
+
+    def _search(
+        self, points: Floats, usable: Floats, images: Floats, tolerance: float, max_steps: int
+    ) -> Floats:
+        """Return what Newton's method finds from the samples with the nearest images."""
+        start, stretch = nearest(points, images)[0], np.linalg.norm(self._jacobian(usable), axis=(1, 2))
+        sources, targets = usable[start], points - self._centred[0]
         rounding = _ulp(points) + stretch[start] * _ulp(sources)
         error = targets - self._map_about(sources)
         damping = np.ones(len(points))

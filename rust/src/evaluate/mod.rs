@@ -1,3 +1,8 @@
 //! Models at many points: what images ask for.
 
+pub mod bspline;
+pub mod hats;
+pub mod local;
+pub mod preimages;
 pub mod spline;
+pub mod triangles;

@@ -1,11 +1,16 @@
 //! Models at many points.
 
-use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Array2, matrix, table};
+use super::arrays::{Array1, Array2, indices, matrix, numbers, table};
 use super::interrupt::interruptible;
 use crate::error::Error;
+use crate::evaluate::bspline::{Axis, BSplines};
+use crate::evaluate::hats::Hats;
+use crate::evaluate::local::Local;
+use crate::evaluate::preimages;
 use crate::evaluate::spline::Splines;
 use crate::pool::Pool;
 
@@ -49,4 +54,118 @@ fn rows<'py>(
     let splines = Splines { centres, weights, columns };
     let values = interruptible(py, cost, threads, |pool| evaluate(&splines, points, pool))?;
     table(py, values, n, numbers * columns)
+}
+
+/// Functions of which few are nonzero at a point.
+#[pyclass(frozen, module = "mexpress._core")]
+pub(super) struct LocalFunctions(Kind);
+
+enum Kind {
+    BSplines(BSplines),
+    Hats(Hats),
+}
+
+/// Multiply-adds that finding the nonzero functions at a point is worth.
+const FINDING: usize = 100;
+
+#[pymethods]
+impl LocalFunctions {
+    /// B-splines over a grid: the first coordinate and the step of its lines, and the control points at their crossings.
+    #[staticmethod]
+    fn bsplines(
+        x: (f64, f64, usize),
+        y: (f64, f64, usize),
+        order: PyReadonlyArray1<'_, i64>,
+    ) -> PyResult<Self> {
+        let axes = [x, y].map(|(low, step, number)| Axis { low, step, number });
+        BSplines::new(axes, numbers(&order)?)
+            .map(|functions| Self(Kind::BSplines(functions)))
+            .ok_or_else(|| PyValueError::new_err("no grid"))
+    }
+
+    /// Hat functions of a triangulation: its points, corners, their gradients, and triangles and sides of its hull.
+    #[staticmethod]
+    fn hats(
+        points: PyReadonlyArray2<'_, f64>,
+        corners: PyReadonlyArray1<'_, i64>,
+        gradients: PyReadonlyArray2<'_, f64>,
+        triangles: PyReadonlyArray1<'_, i64>,
+        sides: PyReadonlyArray1<'_, i64>,
+    ) -> PyResult<Self> {
+        let hull: Vec<_> = numbers(&triangles)?.into_iter().zip(numbers(&sides)?).collect();
+        let hats = Hats::new(matrix(&points)?, &numbers(&corners)?, matrix(&gradients)?, &hull)?;
+        Ok(Self(Kind::Hats(hats)))
+    }
+
+    /// Their combinations at points: a row each.
+    fn values<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f64>,
+        parameters: PyReadonlyArray2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Array2<'py, f64>> {
+        let (n, columns) = (points.shape()[0], parameters.shape()[1]);
+        let (points, parameters) = (matrix(&points)?, matrix(&parameters)?);
+        let values = interruptible(py, (n * FINDING) as f64, threads, |pool| match &self.0 {
+            Kind::BSplines(functions) => functions.values(points, parameters, columns, pool),
+            Kind::Hats(functions) => functions.values(points, parameters, columns, pool),
+        })?;
+        table(py, values, n, columns)
+    }
+
+    /// The derivatives of these along x and y: a row of pairs each.
+    fn slopes<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f64>,
+        parameters: PyReadonlyArray2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Array2<'py, f64>> {
+        let (n, columns) = (points.shape()[0], parameters.shape()[1]);
+        let (points, parameters) = (matrix(&points)?, matrix(&parameters)?);
+        let slopes = interruptible(py, (n * FINDING) as f64, threads, |pool| match &self.0 {
+            Kind::BSplines(functions) => functions.slopes(points, parameters, columns, pool),
+            Kind::Hats(functions) => functions.slopes(points, parameters, columns, pool),
+        })?;
+        table(py, slopes, n, 2 * columns)
+    }
+
+    /// Indices and elements of the nonzero functions (0), or of their derivatives along x (1) or y (2), at points: a row each.
+    fn elements<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f64>,
+        order: usize,
+    ) -> PyResult<(Array1<'py, i64>, Array2<'py, f64>)> {
+        if order > 2 {
+            return Err(PyValueError::new_err("no such derivative"));
+        }
+        let (n, points) = (points.shape()[0], matrix(&points)?);
+        let ((functions, elements), most) = py.detach(|| match &self.0 {
+            Kind::BSplines(functions) => (functions.elements(points, order), BSplines::MOST),
+            Kind::Hats(functions) => (functions.elements(points, order), Hats::MOST),
+        });
+        Ok((indices(py, functions), table(py, elements, n, most)?))
+    }
+}
+
+/// What a map of triangles maps to positions: a row each, NaN where there is none or more than one.
+///
+/// Rows of `corners` have a place, both numerators and the denominator, three rows a triangle.
+#[pyfunction]
+#[pyo3(name = "preimages")]
+pub(super) fn preimages_of<'py>(
+    py: Python<'py>,
+    positions: PyReadonlyArray2<'py, f64>,
+    corners: PyReadonlyArray2<'py, f64>,
+    least: f64,
+    threads: usize,
+) -> PyResult<Array2<'py, f64>> {
+    let n = positions.shape()[0];
+    let (positions, triangles) = (matrix(&positions)?, matrix(&corners)?.as_chunks().0.as_chunks().0);
+    let found = interruptible(py, (n * FINDING) as f64, threads, |pool| {
+        preimages::preimages(positions, triangles, least, pool)
+    })?;
+    table(py, found, n, 2)
 }

@@ -19,7 +19,7 @@ mod _core {
     #[pymodule_export]
     use super::arrays::find_not_finite;
     #[pymodule_export]
-    use super::evaluate::{spline_slopes, spline_values};
+    use super::evaluate::{LocalFunctions, preimages_of, spline_slopes, spline_values};
     #[pymodule_export]
     use super::factor::Factor;
     #[pymodule_export]
