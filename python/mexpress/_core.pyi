@@ -119,6 +119,6 @@ def place_by_residual(
     values: _Floats,
     first: tuple[int, int, int],
     max_count: int,
-    min_distance: float,
+    least: tuple[float, float],
     threads: int,
 ) -> _Integers: ...

@@ -30,7 +30,10 @@ SPACING = 0.025
 """Default smallest distance in `by_residual`, as a fraction of the diagonal of the data's bounding box."""
 
 _EXACT = 1e-12
-"""Placement by residual ends at residuals of this fraction of the largest value that the core is given."""
+"""Placement by residual ends at residuals of this fraction of the largest value, relative to their middle."""
+
+_TIED = 1e-9
+"""Squared distances that differ by less than this fraction are equal: on a grid, rounding must not decide."""
 
 _DRAWS = 100
 
@@ -138,19 +141,24 @@ def farthest_order(points: Floats, max_count: int) -> Integers:
     """`farthest_first` of checked points that cover a region."""
     # Scaling by a power of two is exact and keeps ties; squares then neither overflow nor underflow.
     x, y = np.ldexp(about_mean(points), -int(np.frexp(diagonal(points))[1])).T.copy()
-    first = int(_squares(x, y, 0.0, 0.0).argmax())
-    second = int(_squares(x, y, x[first], y[first]).argmax())
+    first = _first_largest(_squares(x, y, 0.0, 0.0))
+    second = _first_largest(_squares(x, y, x[first], y[first]))
     a, b = x[second] - x[first], y[second] - y[first]
-    chosen = [first, second, int(np.abs(b * (x - x[first]) - a * (y - y[first])).argmax())]
+    chosen = [first, second, _first_largest(np.abs(b * (x - x[first]) - a * (y - y[first])))]
     nearest = np.min([_squares(x, y, x[k], y[k]) for k in chosen], axis=0)
     coincident = COINCIDENT**2 * (np.ptp(x) ** 2 + np.ptp(y) ** 2)
     while len(chosen) < min(max_count, len(points)):
-        k = int(nearest.argmax())
+        k = _first_largest(nearest)
         if nearest[k] <= coincident:
             break
         chosen.append(k)
         np.minimum(nearest, _squares(x, y, x[k], y[k]), out=nearest)
     return np.array(chosen, dtype=np.int64)
+
+
+def _first_largest(values: Floats) -> int:
+    """Return the first place of the largest number, or of one that differs from it by rounding."""
+    return int((values >= (1 - _TIED) * values.max()).argmax())
 
 
 def _squares(x: Floats, y: Floats, a: float, b: float) -> Floats:
@@ -257,19 +265,10 @@ def residual_order(
         rule = "It must be a distance of at least 0."
         distance = max(check.number(min_distance, "min_distance", rule, 0.0), COINCIDENT * size)
     first = _spread_triangle(points, distance, random)
-    outputs = _near_zero(values).reshape(len(values), -1)
-    return _core.place_by_residual(points, outputs, first, min(max_count, len(points)), distance, threads)
-
-
-def _near_zero(values: Floats) -> Floats:
-    """Return values less a constant, as large as the core has to take them.
-
-    It ends at residuals of 1e-12 of the largest value. Of values far from zero, 1e-12 is more than their rounding, and
-    of those relative to their middle it is less.
-    """
-    centred = values - middle(values)
-    rounding = 8 * float(np.spacing(np.abs(values).max()))
-    return np.asarray(centred + max(0.0, rounding / _EXACT - float(np.abs(centred).max())))
+    outputs = (values - middle(values)).reshape(len(values), -1)
+    exact = max(_EXACT * float(np.abs(outputs).max()), 8 * float(np.spacing(np.abs(values).max())))
+    count = min(max_count, len(points))
+    return _core.place_by_residual(points, outputs, first, count, (distance, exact), threads)
 
 
 def _spread_triangle(points: Floats, distance: float, random: np.random.Generator) -> tuple[int, int, int]:

@@ -26,7 +26,6 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.geometry import EDGE
 from mexpress.index_sets import IndexSets, checked, compress, contained, singletons
 
 __all__ = [
@@ -50,6 +49,9 @@ MOST_INDICES = 100_000_000
 
 _CELLS = 65_534
 """Cells along the largest extent of data, which are put in order by them; 65,536 at most."""
+
+_ROUNDING = 4e-13
+"""Fraction of a radius by which rounding may move a distance: data on a grid are often just at a radius."""
 
 SHARE_RULE = "It must be a share above 0 and at most 1."
 
@@ -241,8 +243,7 @@ class Places:
 
 
 def _checked_radius(radius: float) -> float:
-    # Data on a grid are often just at the radius, and rounding must not decide.
-    return (1 + EDGE) * check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
+    return (1 + _ROUNDING) * check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
 
 
 def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
@@ -304,7 +305,7 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     points : (n, d) array, d from 1 to 3
         Positions of the data.
     radius : float
-        Distance up to which data are held out (d <= radius, to within 1e-9 of it because of rounding), in the unit of
+        Distance up to which data are held out (d <= radius, to within 4e-13 of it because of rounding), in the unit of
         the points; 0 holds out the datum and data that coincide with it. The paper advises 5 to 10 % of the domain's
         diagonal.
     threads : int, optional

@@ -10,7 +10,7 @@ import warnings
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 
 import mexpress as mx
 from mexpress.geometry import covered_region, inside, lattice
@@ -126,6 +126,7 @@ def test_a_warp_is_the_same_in_units_of_any_powers_of_four(seed, ways, s, t):
 @pytest.mark.slow
 @SELECTIONS
 @given(SEEDS, WARPS, SCALES, SCALES)
+@example(6555, {"lifting": "affine", "fractional": False}, 10**2.875, 1.0)  # a square, but for rounding
 def test_a_warp_is_the_same_in_any_units(seed, ways, s, t):
     source = positions(seed)
     target = bent(source, seed)
@@ -250,10 +251,41 @@ def same_places(points, others, back, digits, seed):
     np.testing.assert_array_equal(inside(same, *others.T), np.ones(len(points)))
     np.testing.assert_allclose(back(lattice(same, 100)), lattice(region, 100), rtol=0, atol=digits)
     np.testing.assert_allclose(back(lloyd(same, 7)), lloyd(region, 7), rtol=0, atol=digits)
-    if seed % 3:  # on a grid, which of the farthest data comes first is decided by rounding
-        np.testing.assert_array_equal(farthest_first(others, 12), farthest_first(points, 12))
-        values = bent(points, seed)
-        np.testing.assert_array_equal(by_residual(others, values, 12), by_residual(points, values, 12))
+    np.testing.assert_array_equal(farthest_first(others, 12), farthest_first(points, 12))
+    values = bent(points, seed)
+    np.testing.assert_array_equal(by_residual(others, values, 12), by_residual(points, values, 12))
+
+
+UNITS = [0.1, 1 / 3, 1e-9, 1e9, 1e-9 / 3, 0.7e90]
+GRIDS = {
+    "square": np.stack(np.meshgrid(np.arange(9.0), np.arange(7.0)), axis=-1).reshape(-1, 2),
+    "oblong": np.stack(np.meshgrid(3 * np.arange(6.0), 7 * np.arange(8.0)), axis=-1).reshape(-1, 2),
+    "pixels": np.random.default_rng(0).integers(0, 40, (60, 2)).astype(float),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("grid", GRIDS)
+def test_rounding_decides_no_radius_of_a_grid(grid, unit):
+    points = GRIDS[grid]
+    for radius in (0.0, 1.0, np.sqrt(2), 3.0, 5.0, np.sqrt(58), 7.0):
+        found, expected = (exclusion_radius(s * points, s * radius).held_out for s in (unit, 1.0))
+        np.testing.assert_array_equal(found.offsets, expected.offsets)
+        np.testing.assert_array_equal(found.indices, expected.indices)
+
+
+@pytest.mark.parametrize("unit", UNITS[:4])
+@pytest.mark.parametrize("grid", GRIDS)
+def test_rounding_places_no_control_point_of_a_grid(grid, unit):
+    points = GRIDS[grid]
+    values = (points % 5).prod(axis=1)
+    np.testing.assert_array_equal(farthest_first(unit * points, 30), farthest_first(points, 30))
+    for distance in (2.0, 3.0, np.sqrt(8), 7.0):
+        expected = by_residual(points, values, 30, distance)
+        np.testing.assert_array_equal(by_residual(unit * points, values, 30, unit * distance), expected)
+    for count in (4, 9, 16):
+        centres = lloyd(points, count)
+        np.testing.assert_allclose(lloyd(unit * points, count) / unit, centres, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e3, -1e9, 1e12])

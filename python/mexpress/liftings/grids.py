@@ -1,6 +1,7 @@
 """Regular grids of control points over the bounding box of the data, with cells as square as possible.
 
-The first grid has one cell; each next grid has one more line, across the longer side of the cells.
+The first grid has one cell; each next grid has one more line, across the longer side of the cells, or across x if they
+are square.
 """
 
 from collections.abc import Iterator
@@ -55,11 +56,15 @@ def grid(points: ArrayLike | Region, count: int, ring: int = 0) -> Floats:
 
 def _sizes(region: Floats, ring: int) -> Iterator[tuple[int, int]]:
     """Numbers of columns and rows of one grid after another."""
-    cells, extent = np.ones(2, dtype=np.int64), np.ptp(region, axis=0)
+    columns, rows = 1, 1
+    width, height = np.ptp(region, axis=0).tolist()
+    rounding = 4 * float(np.spacing(np.abs(region).max()))  # which must not decide in a square
     while True:
-        columns, rows = (cells + 1 + 2 * ring).tolist()
-        yield columns, rows
-        cells[np.argmax(extent / cells)] += 1
+        yield columns + 1 + 2 * ring, rows + 1 + 2 * ring
+        if height / rows > (width + rounding) / columns:
+            rows += 1
+        else:
+            columns += 1
 
 
 def _lines(coordinates: Floats, count: int, ring: int) -> Floats:

@@ -33,11 +33,8 @@ const TASK: usize = 200_000;
 /// A column whose remainder is below this fraction of it depends on those before.
 const DEPENDENT: f64 = 1e-13;
 
-/// Residuals below this fraction of the largest value are rounding.
-const ROUNDING: f64 = 1e-12;
-
 /// Residuals are tied when they differ by less than this fraction: columns that nearly depend on those before have lost
-/// some digits.
+/// some digits. Distances are tied too: on a grid, many are equal but for rounding.
 const TIED: f64 = 1e-9;
 
 /// The data that become control points, in order: `first`, then repeatedly the datum with the largest residual among
@@ -45,9 +42,9 @@ const TIED: f64 = 1e-9;
 ///
 /// `points` holds x and y in turn, `values` is row-major, any number of outputs a datum: a residual is the norm over them
 /// when the thin-plate spline on the control points so far is fitted to all data by least squares. Residuals that
-/// agree to 1e-9 are tied, and the smallest index comes first. Ends at `max_count`, when no datum is left, or when no
-/// residual is above 1e-12 of the largest value. A datum whose function depends numerically on
-/// those before becomes no control point, and neither do those around it.
+/// agree to 1e-9 are tied, and the smallest index comes first; distances that agree so are equal. Ends at `max_count`, when
+/// no datum is left, or when no residual is above `rounding`, in the values' unit. A datum whose function depends
+/// numerically on those before becomes no control point, and neither do those around it.
 ///
 /// Fails if lengths do not agree, naming the first of them if some numbers are not finite, and if the first three are on
 /// a line.
@@ -58,7 +55,7 @@ const TIED: f64 = 1e-9;
 /// // A square and its middle, which is 1 above the plane of the corners.
 /// let points = [0.0, 0.0, 2.0, 0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 1.0];
 /// let values = [0.0, 0.0, 0.0, 0.0, 1.0];
-/// let chosen = place_by_residual(&points, &values, [0, 1, 2], 4, 0.1, &Pool::new(1, &flag))?;
+/// let chosen = place_by_residual(&points, &values, [0, 1, 2], 4, 0.1, 1e-12, &Pool::new(1, &flag))?;
 /// assert_eq!(chosen, [0, 1, 2, 4]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
@@ -68,9 +65,10 @@ pub fn place_by_residual(
     first: [usize; 3],
     max_count: usize,
     min_distance: f64,
+    rounding: f64,
     pool: &Pool<'_>,
 ) -> Result<Vec<usize>, Error> {
-    let mut sweep = Sweep::new(points, values, first, min_distance, pool)?;
+    let mut sweep = Sweep::new(points, values, first, min_distance, rounding, pool)?;
     let mut chosen = first.to_vec();
     while chosen.len() < max_count {
         let Some(next) = sweep.worst() else { break };
@@ -123,6 +121,7 @@ impl<'a> Sweep<'a> {
         values: &[f64],
         first: [usize; 3],
         min_distance: f64,
+        rounding: f64,
         pool: &'a Pool<'a>,
     ) -> Result<Self, Error> {
         let (points, min_distance) = normalised(points, min_distance)?;
@@ -134,7 +133,6 @@ impl<'a> Sweep<'a> {
             return Err(Error::Index { index, bound: points.len() });
         }
         let scale = unit_scale(values.iter().copied())?;
-        let largest = values.iter().fold(0.0_f64, |largest, v| largest.max(v.abs()));
         let corners = first.map(|i| points[i]);
         if doubled_area(corners) == 0.0 {
             return Err(Error::Collinear { first });
@@ -147,7 +145,7 @@ impl<'a> Sweep<'a> {
                 Block::new(places, &values[rows], scale)
             })
             .collect();
-        let (limit, rounding) = (min_distance * min_distance, ROUNDING * (largest * scale));
+        let (limit, rounding) = ((min_distance * (1.0 + TIED)).powi(2), rounding * scale);
         let mut sweep = Self { pool, points, corners, limit, rounding, blocks, columns: 0, last: None };
         sweep.pass(|block| {
             block.fill_kernels(corners);
@@ -476,7 +474,11 @@ mod tests {
         distance: f64,
     ) -> Result<Vec<usize>, Error> {
         let flag = AtomicBool::new(false);
-        place_by_residual(points, values, first, count, distance, &Pool::new(1, &flag))
+        place_by_residual(points, values, first, count, distance, rounding(values), &Pool::new(1, &flag))
+    }
+
+    fn rounding(values: &[f64]) -> f64 {
+        1e-12 * values.iter().fold(0.0, |largest, v| f64::max(largest, v.abs()))
     }
 
     fn at(points: &[f64], i: usize) -> [f64; 2] {
@@ -516,7 +518,6 @@ mod tests {
 
     fn oracle(points: &[f64], values: &[f64], first: [usize; 3], count: usize, distance: f64) -> Vec<usize> {
         let mut chosen = first.to_vec();
-        let largest = values.iter().fold(0.0, |largest, v| f64::max(largest, v.abs()));
         while chosen.len() < count {
             let mut squares = squared_residuals(points, values, &chosen);
             for (i, square) in squares.iter_mut().enumerate() {
@@ -524,7 +525,7 @@ mod tests {
                 *square = if chosen.iter().any(near) { 0.0 } else { *square };
             }
             let worst = squares.iter().fold(0.0, |worst, square| f64::max(worst, *square)).sqrt();
-            if worst <= 1e-12 * largest {
+            if worst <= rounding(values) {
                 break;
             }
             chosen.extend(squares.iter().position(|square| square.sqrt() >= worst * (1.0 - 1e-9)));
@@ -575,7 +576,8 @@ mod tests {
         let (points, values) = waves(70);
         let flag = AtomicBool::new(false);
         let chosen = |threads| {
-            place_by_residual(&points, &values, [0, 69, 4830], 60, 1.0, &Pool::new(threads, &flag)).unwrap()
+            let pool = Pool::new(threads, &flag);
+            place_by_residual(&points, &values, [0, 69, 4830], 60, 1.0, 1e-12, &pool).unwrap()
         };
         assert_eq!(chosen(1).len(), 60);
         assert_eq!(chosen(1), chosen(2));
@@ -635,7 +637,7 @@ mod tests {
     fn the_work_can_be_called_off() {
         let (points, values) = waves(12);
         let flag = AtomicBool::new(true);
-        let result = place_by_residual(&points, &values, [0, 11, 132], 20, 0.5, &Pool::new(2, &flag));
+        let result = place_by_residual(&points, &values, [0, 11, 132], 20, 0.5, 0.0, &Pool::new(2, &flag));
         assert_eq!(result, Err(Error::Interrupted));
     }
 }

@@ -39,7 +39,7 @@ pub(super) fn spread<'py>(
     Ok(indices(py, drawn))
 }
 
-/// The data that become control points, in the order of their arrival.
+/// The data that become control points, in the order of their arrival; `least` are a distance and a residual.
 #[pyfunction]
 pub(super) fn place_by_residual<'py>(
     py: Python<'py>,
@@ -47,14 +47,14 @@ pub(super) fn place_by_residual<'py>(
     values: PyReadonlyArray2<'py, f64>,
     first: [usize; 3],
     max_count: usize,
-    min_distance: f64,
+    least: (f64, f64),
     threads: usize,
 ) -> PyResult<Array1<'py, i64>> {
     let count = max_count.min(points.shape()[0]);
     let cost = 2.0 * points.shape()[0] as f64 * (count as f64).powi(2);
     let (points, values) = (matrix(&points)?, matrix(&values)?);
     let chosen = interruptible(py, cost, threads, |pool| {
-        by_residual::place_by_residual(points, values, first, max_count, min_distance, pool)
+        by_residual::place_by_residual(points, values, first, max_count, least.0, least.1, pool)
     })?;
     Ok(indices(py, chosen))
 }
