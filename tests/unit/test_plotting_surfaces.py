@@ -45,6 +45,18 @@ def test_a_depth_is_drawn_beside_the_data_in_the_same_colours(surface, tmp_path,
     assert figure.axes[0].yaxis_inverted() == bool(more)
 
 
+def test_a_column_of_depths_is_drawn_as_depths():
+    column = mx.fit_surface(POINTS, DEPTH[:, None], POINTS[:12])
+    plain = mx.fit_surface(POINTS, DEPTH, POINTS[:12])
+    for plot in (plotting.plot_surface, plotting.plot_residuals):
+        drawn, expected = plot(column, POINTS, DEPTH[:, None]), plot(plain, POINTS, DEPTH)
+        assert [axes.get_title(loc="left") for axes in drawn.axes] == [
+            axes.get_title(loc="left") for axes in expected.axes
+        ]
+        for one, other in zip(drawn.axes[0].collections, expected.axes[0].collections, strict=True):
+            np.testing.assert_array_equal(one.get_array(), other.get_array())
+
+
 def test_points_in_space_are_drawn_from_two_sides(tmp_path):
     sheet = mx.fit_surface(POINTS, SHEET, POINTS[:12])
     for more in ({}, IMAGE):

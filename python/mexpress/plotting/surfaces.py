@@ -127,7 +127,7 @@ def _depth_figure(
     limits: dict[str, Any] = {"vmin": percentile(depths, 1), "vmax": percentile(depths, 99)}
     _draw_data(maps[0], surface, points, depths, **limits)
     grid = surface.grid(step=float(np.sqrt(wide * high / _SAMPLES)))
-    known = np.ma.masked_invalid(grid.values)
+    known = np.ma.masked_invalid(grid.values.reshape(len(grid.y), len(grid.x)))
     shown = maps[1].pcolormesh(grid.x, grid.y, known, shading="nearest", **limits)
     for axes, title in zip(maps, (f"{len(points)} data", _title(surface)), strict=True):
         _set_frame(axes, points, size)
@@ -194,7 +194,7 @@ def plot_residuals(
     every, measured, aside = _data(surface, points, values, aside)
     kept = aside.kept(len(every))
     where, size = every[kept], check.image_size(image_size)
-    residuals = measured[kept] - surface(where)
+    residuals = measured[kept] - surface(where).reshape(measured[kept].shape)
     sizes = np.abs(residuals) if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
     limit = percentile(sizes, 98) or 1.0
     figure, axes = _map_figure(where, size)
