@@ -281,9 +281,8 @@ class Warp(FittedModel):
             tolerance = _TOLERANCE * float(np.median(_norm(images - np.median(images, axis=0))))
         targets, front = points - self._centred[0], np.sign(self._usual)
         sources = self.lifting.preimages(targets, front * self._centred[1], _HORIZON * front * self._usual)
-        far = ~(
-            _norm(targets - row_by_row(sources, self._map_about)) <= tolerance
-        )  # where there is none, too
+        near = _norm(targets - row_by_row(sources, self._map_about)) <= tolerance
+        far = ~near  # also where there is none, at a distance of NaN
         if far.any():
             sources[far] = self._search(points[far], usable, images, tolerance, max_steps)
         return sources
