@@ -179,6 +179,7 @@ def whole_rows(**tables: Floats) -> NDArray[np.bool_]:
 
 def points(value: ArrayLike, name: str, dimension: int | None = 2) -> Floats:
     """At least one finite point, (n, dimension); one to three coordinates if dimension is None; OpenCV's shapes too."""
+    _expect_order(value, name)
     array: Floats = as_rows(real(value, name))
     if dimension is None and array.ndim == 2 and 1 <= array.shape[1] <= 3:
         dimension = array.shape[1]
@@ -195,6 +196,7 @@ def queries(value: ArrayLike, name: str) -> Floats:
     Infinite ones and those beyond the largest coordinate are not known either, since models map points to such places:
     what one model returns, any other takes.
     """
+    _expect_order(value, name)
     array: Floats = as_rows(real(value, name))
     if array.ndim != 2 or array.shape[1] != 2:
         refuse(
@@ -204,6 +206,14 @@ def queries(value: ArrayLike, name: str) -> Floats:
         )
     known = np.asarray((np.abs(array) <= LARGEST_COORDINATE).all(axis=1))
     return array if known.all() else np.where(known[:, None], array, np.nan)
+
+
+def _expect_order(value: Any, name: str) -> None:
+    """Refuse a frame of y and x: columns are taken as they stand."""
+    first, *rest = (str(column).strip().lower() for column in getattr(value, "columns", ["x"]))
+    if len(rest) == 1 and first.startswith("y") and rest[0].startswith("x"):
+        rule = f"Columns are taken as they stand, x first: [[{value.columns[1]!r}, {value.columns[0]!r}]] turns them."
+        refuse(name, rule, f"{value.columns[0]}, {value.columns[1]}")
 
 
 def _as_points(shape: tuple[int, ...], dimension: int | None) -> str:

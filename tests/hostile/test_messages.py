@@ -1,9 +1,12 @@
 """What goes wrong for newcomers, and the message that names their argument, the cause, and what to do."""
 
+import io
 import os
 import re
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from inputs import in_form, refused
 
@@ -398,3 +401,46 @@ def test_a_speck_of_an_image_is_noted():
     note = mx.select_warp(SOURCE / 640, TARGET / 640, **SIZE).notes[0]
     assert note.startswith("The source points extend over 1.4 only, in an image of 640 x 480 pixels.")
     assert mx.select_warp(SOURCE, TARGET, image_size=(640, 640)).notes == ()
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path):
+    (tmp_path / "p.csv").write_text("1,2")
+    with pytest.raises(NotADirectoryError) as caught, replacing(tmp_path / "p.csv" / "x.npz"):
+        pass
+    assert caught.value.filename == str(tmp_path / "p.csv" / "x.npz")
+
+
+def test_the_longest_name_is_written(tmp_path):
+    with replacing(tmp_path / (251 * "a" + ".npz")) as file:
+        file.write(b"all")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"all"]
+
+
+def test_a_link_stays_one_and_what_is_no_file_is_written_as_it_comes(tmp_path):
+    (tmp_path / "far").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "file")
+    for content in (b"old", b"new"):
+        with replacing(tmp_path / "link") as file:
+            file.write(content)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "far" / "file").read_bytes() == b"new"
+    assert len(list((tmp_path / "far").iterdir())) == 1
+    with replacing(os.devnull) as file:
+        file.write(b"gone")
+    assert not Path(os.devnull).is_file()
+
+
+@pytest.mark.parametrize("given", [np.ones((48, 64)), [[1.0, 2.0]], None, io.StringIO("1,2"), {"x": [1]}])
+@pytest.mark.parametrize("read", [mx.io.read_matches, mx.io.read_points, mx.read_cloud])
+def test_what_is_no_file_needs_no_reading(read, given):
+    with pytest.raises(TypeError, match=r"name of a file, or a frame; arrays need no reading\. Given"):
+        read(given)
+
+
+def test_columns_of_a_frame_are_not_taken_in_another_order_than_x_and_y():
+    frame = pd.DataFrame({"y": [0.0, 0, 1, 1], "x": [0.0, 1, 0, 1]})
+    warp = mx.fit_warp(frame[["x", "y"]], frame[["x", "y"]], frame[["x", "y"]][:3])
+    np.testing.assert_allclose(warp(pd.DataFrame({"x": [0.5], "y": [0.25]})), [[0.5, 0.25]])
+    for ask in (warp, warp.inverse, lambda points: mx.select_warp(points, points)):
+        with pytest.raises(ValueError, match=r"x first: \[\['x', 'y'\]\] turns them\. Given y, x\."):
+            ask(frame)

@@ -385,13 +385,15 @@ def test_what_nothing_is_mapped_to_has_no_origin(run, tmp_path):
     assert "mexpress: 1 of 2 points have no origin" in errors
 
 
-@pytest.mark.parametrize("name", ["al.png", "al.JPG", "al.gif"])
-def test_apply_writes_no_points_over_an_image(run, tmp_path, model, name):
+@pytest.mark.parametrize(
+    "name", ["al.png", "al.JPG", "al.gif", "r.npy", "w.npz", "r.parquet", "r.json", "r.ply"]
+)
+def test_apply_writes_no_points_under_the_name_of_something_else(run, tmp_path, model, name):
     (tmp_path / "p.csv").write_text("1,2\n")
     (tmp_path / name).write_bytes(b"an image")
     status, text, errors = run("apply", model, tmp_path / "p.csv", "--out", tmp_path / name)
     assert (status, text) == (2, "")
-    assert f"--out must be a table, such as points.csv, for points, not {name}" in errors
+    assert f"--out must be text, such as points.csv, for points, not {name}" in errors
     assert (tmp_path / name).read_bytes() == b"an image"
 
 

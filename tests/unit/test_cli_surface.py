@@ -1,4 +1,5 @@
 import csv
+import io
 import json
 import sys
 
@@ -312,3 +313,22 @@ def test_queries_in_a_file(sheet, run, tmp_path):
     assert status == 0, errors
     status, _, errors = run("surface", sheet, "--queries", "1,2,3", "--out", tmp_path)
     assert (status, "must be a file, X0,Y0,X1,Y1 or image" in errors) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "values", [[0.0, 1, 2, 3], [[0.0], [1], [2], [3]], [[0.0, 0, 1], [1, 0, 2], [0, 1, 2], [1, 1, 4]]]
+)
+def test_apply_a_surface_to_no_points(tmp_path, capsys, values):
+    square = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    mx.fit_surface(square, values, square[:3]).save(tmp_path / "surface.npz")
+    (tmp_path / "none.csv").write_text("x,y\n")
+    assert main(["apply", str(tmp_path / "surface.npz"), str(tmp_path / "none.csv")]) == 0
+    assert capsys.readouterr().out == "x,y,z,error\n"
+
+
+def test_a_message_names_standard_input(tmp_path, capsys, monkeypatch, model):
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"")))
+    assert main(["apply", str(model), "-"]) == 2
+    errors = capsys.readouterr().err
+    assert "standard input" in errors
+    assert "surface.npz" not in errors

@@ -298,3 +298,13 @@ def test_a_depth_map_is_turned_as_photographs_are(tmp_path, kind, orientation):
     seen = Raster(COUNTS, orientation=orientation).upright()
     assert seen.shape == (COUNTS.shape if orientation < 5 else COUNTS.shape[::-1])
     holds(read(tmp_path, kind, content, scale=1), seen)
+
+
+@pytest.mark.parametrize("ending", [".tif", ".png"])
+def test_numbers_that_packing_has_changed_are_refused(tmp_path, ending):
+    pixels = np.where(np.arange(64) < 32, 50, 200) * np.ones((48, 1))
+    packed = {"compression": "jpeg"} if ending == ".tif" else {}
+    path = tmp_path / f"depth{ending}"
+    PIL.Image.fromarray(pixels.astype(np.uint8)).save(path, "TIFF" if packed else "JPEG", **packed)
+    with pytest.raises(ValueError, match=f"JPEG and the like change numbers.* Given depth{ending}"):
+        read_cloud(path)

@@ -255,3 +255,21 @@ def test_weights_that_are_not_there(tmp_path):
     (tmp_path / "m.csv").write_text("x1,y1,x2,y2,weight\n1,2,3,4,much\n")
     with pytest.raises(ValueError, match=r"^Invalid matches\. .*'much' in line 2"):
         read_weighted_matches(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize("shape", [(-1, 1, 2), (1, -1, 2)])
+def test_points_in_files_may_have_the_shape_of_opencv(tmp_path, shape):
+    source, target = np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2) ** 2
+    np.save(tmp_path / "p.npy", source.reshape(shape))
+    np.savez(tmp_path / "p.npz", source.reshape(shape))
+    np.savez(tmp_path / "m.npz", source=source.reshape(shape), target=target.reshape(shape))
+    np.testing.assert_array_equal(read_points(tmp_path / "p.npy"), source)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.npz"), source)
+    np.testing.assert_array_equal(read_matches(tmp_path / "m.npz"), (source, target))
+
+
+def test_a_constant_among_points_is_noted(tmp_path):
+    points = np.vstack([np.random.default_rng(0).uniform(0, 300, (40, 2)), np.full((4, 2), -9999.0)])
+    np.save(tmp_path / "p.npy", points)
+    with pytest.warns(UserWarning, match=r"4 of 44 values in p\.npy are -9999"):
+        read_points(tmp_path / "p.npy")

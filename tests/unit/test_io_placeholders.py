@@ -37,8 +37,6 @@ def said(values, dtype=np.float64):
 )
 @pytest.mark.parametrize("times", [1, 3, 300, 4000])
 def test_a_constant_far_outside_is_named(values, dtype, constant, times):
-    if constant == -9999 and times == 1 and values is not DEPTHS and values[0] != 2:
-        times = 2  # a single height, 8 times the range below the others, may be a wrong one
     assert said(np.append(values, times * [constant]), dtype) == [float(np.dtype(dtype).type(constant))]
 
 
@@ -64,12 +62,24 @@ def test_several_constants_are_named():
         np.zeros(400),
         np.array([1.0, 2.0, 3.0, 1e10]),
         np.repeat([1.0, 1.25], 200),
+        np.repeat([1.0, 3.5], 1200),
+        np.repeat([0.0, 50.0], 10),
+        np.append(SCENE, SCENE.max() + 20 * np.ptp(SCENE)),
         np.exp(RANDOM.normal(size=400)),
         np.empty(0),
     ],
 )
 def test_values_that_are_only_spread_are_not(values):
     assert said(values) == []
+
+
+@pytest.mark.parametrize(
+    ("constant", "top"), [(-9999, 500), (-9999, 300), (-32768, 1000), (65535, 1000), (65535, 40000)]
+)
+@pytest.mark.parametrize("times", [1, 5])
+def test_what_stands_for_no_data_in_many_files_need_not_be_as_far(constant, top, times):
+    values = RANDOM.uniform(0, top, 2400)
+    assert said(np.append(values, times * [constant])) == [constant]
 
 
 def test_columns_are_looked_at_one_by_one_and_a_constant_is_named_once():

@@ -14,7 +14,7 @@ from mexpress.cli import common
 from mexpress.cli.apply_image import apply_image, whole_size
 from mexpress.geometry import inside
 from mexpress.io import matches
-from mexpress.io.endings import is_image
+from mexpress.io.endings import is_image, is_text
 from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel, files
 from mexpress.models.surface import Surface
@@ -69,9 +69,9 @@ def _run(arguments: argparse.Namespace) -> None:
         return
     if arguments.size is not None:
         raise common.UsageError("--size belongs to an image, and POINTS is none")
-    if arguments.out is not None and is_image(arguments.out):
+    if arguments.out is not None and not is_text(arguments.out):
         raise common.UsageError(
-            f"--out must be a table, such as points.csv, for points, not {arguments.out.name}"
+            f"--out must be text, such as points.csv, for points, not {arguments.out.name}"
         )
     points = _read(arguments)
     known = np.asarray(np.isfinite(points).all(axis=1))
@@ -86,8 +86,11 @@ def _run(arguments: argparse.Namespace) -> None:
     else:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
-        table = model(points).reshape(len(points), -1)
-        if table.shape[1] == 1:  # a depth with its position is a point in space, which can be read again
+        table = model(points)
+        if table.shape[1:] in (
+            (),
+            (1,),
+        ):  # a depth with its position is a point in space, which can be read again
             table = np.column_stack([np.where(known[:, None], points, np.nan), table])
         _write(table, _error(model, points), arguments.out)
         _warn_of_gaps(model, points)

@@ -20,6 +20,8 @@ from mexpress.cli import report as reports
 from mexpress.geometry import inside
 from mexpress.io import matches
 from mexpress.io.missing import DROP, KEEP
+from mexpress.io.sources import where
+from mexpress.io.text import STANDARD_INPUT
 from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
@@ -279,8 +281,9 @@ def as_typed(message: str, arguments: argparse.Namespace) -> str:
     files = [value for value in typed.values() if isinstance(value, Path)]
     if name in _OPTIONAL or (option in typed and not isinstance(typed[option], Path | None)):
         message = message.replace(name, f"--{option.replace('_', '-')}", 1)
-    elif name in _OF_FILE and not any(file.name in message for file in files):
-        message = message.replace(name, f"{name} in {files[0]}", 1)
+    elif name in _OF_FILE and not any(where(file) in message for file in files):
+        place = where(files[0]) if str(files[0]) == STANDARD_INPUT else files[0]
+        message = message.replace(name, f"{name} in {place}", 1)
     return as_options(message)
 
 

@@ -13,7 +13,7 @@ Examples
 import os
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -106,7 +106,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     Parameters
     ----------
     path : str or path
-        Name of the file, taken as it is. After an error an older file of this name is untouched.
+        Name of the file, taken as it is; of a link, the file that it leads to. After an error an older file of this
+        name is untouched. What is there and no file, such as a pipe, is written as it comes.
 
     Raises
     ------
@@ -123,15 +124,21 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     'all of it'
     """
     path = check.path(path)
-    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
+    real = Path(os.path.realpath(path))
+    if real.exists() and not (real.is_file() or real.is_dir()):
+        with real.open("wb") as file:
+            yield file
+        return
+    part = real.with_name(f"{uuid.uuid4().hex}.part")
     try:
         with part.open("xb") as file:
             yield file
-        part.replace(path)
+        part.replace(real)
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(part)):
             raise
         # The file that could not be written is, to the user, the one that was named.
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # there is none, or no folder either
+            part.unlink()

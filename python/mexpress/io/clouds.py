@@ -29,7 +29,7 @@ from mexpress.io.missing import Missing
 from mexpress.io.obj import read_obj_vertices
 from mexpress.io.placeholders import note_placeholders
 from mexpress.io.ply import read_vertices
-from mexpress.io.sources import Source, is_frame, read_table, where
+from mexpress.io.sources import Source, expect_source, is_frame, read_table, where
 from mexpress.io.tables import UVXYZ, XYZ, ArrayTable, Table, choose, complete
 
 _IMAGES = {".png", ".tif", ".tiff", ".pgm", ".pnm", ".ppm", ".pfm"}
@@ -285,6 +285,7 @@ def _calibrated(
 
 
 def _read(path: Source, told: _Told) -> DepthMap | _Points:
+    expect_source(path, "cloud")
     source, weights = _with_weights(path, told)
     named_weights(weights, told.weights, where(path))
     if weights is None:

@@ -139,7 +139,7 @@ def depth_of_raster(raster: Raster, place: str) -> DepthMap:
     Raises
     ------
     ValueError, TypeError
-        If it has colours, or no numbers.
+        If it has colours, no numbers, or numbers that packing has changed.
 
     Examples
     --------
@@ -147,6 +147,9 @@ def depth_of_raster(raster: Raster, place: str) -> DepthMap:
     >>> depth_of_raster(heights, "heights.tif").data([0, 1])[1]
     array([0., 7.])
     """
+    if not raster.exact:
+        rule = "JPEG and the like change numbers: save depths as .png of 16 bits, or as .tif without it."
+        check.refuse("cloud", rule, place)
     depth = depth_of_array(raster.upright(), place)._replace(
         zero_is_missing=False, missing=Missing(raster.no_data), scaling=raster.scaling
     )

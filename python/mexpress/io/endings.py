@@ -70,6 +70,17 @@ def is_image(path: Path) -> bool:
     return path.suffix.lower() in _IMAGES
 
 
+def is_text(path: Path) -> bool:
+    """Tell whether a file's name has no ending of another kind than text.
+
+    Examples
+    --------
+    >>> is_text(Path("points.csv")), is_text(Path("points")), is_text(Path("points.npy"))
+    (True, True, False)
+    """
+    return path.suffix.lower() not in {*_IMAGES, *_FOREIGN, ".npy", ".npz", ".parquet", ".pq"}
+
+
 def readable(name: str) -> str:
     """Return the sentence that says which endings are read.
 

@@ -19,7 +19,7 @@ from mexpress import _validation as check
 from mexpress.io.endings import readable
 from mexpress.io.grids import is_grid, read_grid
 from mexpress.io.netpbm import is_netpbm, netpbm_white, read_netpbm
-from mexpress.io.pillow import orientation_by_pillow, read_by_pillow
+from mexpress.io.pillow import lossy_by_pillow, orientation_by_pillow, read_by_pillow
 from mexpress.io.raster import Raster
 from mexpress.io.tiff import is_tiff, read_tiff
 
@@ -95,6 +95,9 @@ def read_raster(path: Path, name: str) -> Raster:
         if is_grid(content):
             return read_grid(content)
         raster = read_tiff(content) if is_tiff(content) else None
-        return raster or Raster(read_by_pillow(content), orientation=orientation_by_pillow(content))
+        if raster is not None:
+            return raster
+        pixels, turned = read_by_pillow(content), orientation_by_pillow(content)
+        return Raster(pixels, orientation=turned, exact=not lossy_by_pillow(content))
     except ValueError as error:
         check.refuse(name, f"It must be a whole image. {readable(name)}", f"{path.name}: {error}")

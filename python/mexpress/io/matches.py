@@ -25,7 +25,7 @@ from mexpress.io.keypoints import index_pairs
 from mexpress.io.landmarks import landmarks
 from mexpress.io.missing import Missing
 from mexpress.io.placeholders import note_placeholders
-from mexpress.io.sources import Source, is_frame, read_table, where
+from mexpress.io.sources import Source, expect_source, is_frame, read_table, where
 from mexpress.io.tables import MATCHES, POINTS, ArrayTable, Table, choose, complete, find
 
 WEIGHT_COLUMN, WEIGHT_ARRAY = "weight", "weights"
@@ -150,6 +150,7 @@ def read_weighted_matches(
 def _read(
     path: Source, column: str | int | None, columns: Sequence[str | int] | None, missing: Any
 ) -> WeightedMatches:
+    expect_source(path, "matches")
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
     marked = landmarks(table)
@@ -233,9 +234,7 @@ def _side_by_side(source: Floats, target: Floats, path: Path) -> ArrayTable:
 
 
 def _two_columns(array: NDArray[Any], name: str) -> Floats:
-    numbers = check.real(array, name)
-    if numbers.ndim == 3 and len(numbers) == 1:  # a batch of one
-        numbers = numbers[0]
+    numbers = check.as_rows(check.real(array, name))  # also of a batch of one
     if numbers.ndim != 2 or numbers.shape[1] != 2:
         check.refuse(name, "It must be points of shape (n, 2).", f"shape {numbers.shape}")
     return numbers
@@ -256,7 +255,8 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
     Returns
     -------
     ndarray, (n, 2)
-        The points. With ``missing="keep"`` those that are not known are rows of NaN, as in results of `mexpress apply`,
+        The points. A `UserWarning` says if one constant seems to mean no data, as that of `read_matches` does. With
+        ``missing="keep"`` those that are not known are rows of NaN, as in results of `mexpress apply`,
         and there may be none at all.
 
     Raises
@@ -275,15 +275,19 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
     array([[1. , 2. ],
            [3. , 4.5]])
     """
+    expect_source(path, "points")
     if is_frame(path) or Path(path).suffix.lower() != ".npz":
         table = read_table(path, "points")
     else:
-        path = Path(path)
-        rule = f"{path.name} must hold one (n, 2) array (among several: points)."
-        table = _the_array(read_data(path, "points"), ("points",), path, rule)
+        file = Path(path)
+        rule = f"{file.name} must hold one (n, 2) array (among several: points)."
+        table = _the_array(read_data(file, "points"), ("points",), file, rule)
     marked = landmarks(table)
     chosen = choose(table, [POINTS], columns).columns
-    return complete(table, chosen, Missing.of(missing), marked.off if marked else None)[0]
+    points = complete(table, chosen, Missing.of(missing), marked.off if marked else None)[0]
+    for note in note_placeholders(points[np.isfinite(points).all(axis=1)], where(path)):
+        warnings.warn(note, stacklevel=2)
+    return points
 
 
 def write_matches(path: str | os.PathLike[str], source: ArrayLike, target: ArrayLike) -> None:

@@ -21,6 +21,8 @@ _PLAIN = {"1", "L", "LA", "RGB", "RGBA"}
 _PALETTES = {"P", "PA"}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GRAY = 0
+_LOSSY = {"JPEG", "MPO", "WEBP", "JPEG2000", "AVIF"}
+_LOSSY_IN_TIFF = {"jpeg", "tiff_jpeg", "webp"}
 _ORIENTATION = 0x0112
 
 
@@ -78,8 +80,10 @@ def read_by_pillow(content: bytes) -> NDArray[Any]:
     bits, colour = content[24:26] if is_png else (8, _GRAY)
     if bits == 16 and colour != _GRAY:
         raise ValueError("it has channels of 16 bits, which Pillow would cut to 8; a TIFF can have them")
+    packed = ""
     try:
         with library.open(io.BytesIO(content)) as image:
+            packed = f", packed by {name}" if (name := image.info.get("compression")) else ""
             colours = "RGBA" if image.has_transparency_data else "RGB"
             plain = image.convert(colours) if image.mode in _PALETTES else image
             mode, samples = plain.mode, np.array(plain)
@@ -90,10 +94,24 @@ def read_by_pillow(content: bytes) -> NDArray[Any]:
     if bits == 16:
         return samples.astype(np.uint16)
     if mode not in _PLAIN:
-        raise ValueError(f"it is of Pillow's mode {mode}; gray, RGB and RGBA of 8 bits can be read")
+        raise ValueError(f"it is of Pillow's mode {mode}{packed}; gray, RGB and RGBA of 8 bits can be read")
     if bits in {2, 4} and mode == "L":
         samples //= 255 // (2**bits - 1)  # Pillow stretches them to 8 bits
     return samples
+
+
+def lossy_by_pillow(content: bytes) -> bool:
+    """Tell whether samples that `read_by_pillow` reads need not be those that were written.
+
+    Examples
+    --------
+    >>> file = io.BytesIO()
+    >>> pillow().new("L", (3, 2)).save(file, "JPEG")
+    >>> lossy_by_pillow(file.getvalue())
+    True
+    """
+    with pillow().open(io.BytesIO(content)) as image:
+        return image.format in _LOSSY or image.info.get("compression") in _LOSSY_IN_TIFF
 
 
 def orientation_by_pillow(content: bytes) -> int:

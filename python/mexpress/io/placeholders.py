@@ -18,6 +18,11 @@ _FEWEST = 10
 _FAR, _FAR_ALONE = 1, 100
 """How many times the range of all others one constant is away from them, or one single value."""
 
+_USUAL = {-9999.0, -99999.0, -32768.0, -32767.0, 65535.0, 1e10, 1e20, float(np.finfo("f4").min)}
+"""What stands for no data in many files: at half the range from all others it seems to, also alone."""
+
+_HALF = 0.5
+
 _APART = 10
 """How many times the usual step from one value to the next 0 is away from the smallest."""
 
@@ -69,10 +74,14 @@ def _outlying(column: NDArray[Any]) -> _Placeholder | None:
             continue
         one = _Placeholder(float(value), len(column) - len(others), float(others.min()), float(others.max()))
         gap = max(one.low - one.value, one.value - one.high)
-        spread = (one.high - one.low) or abs(one.high)
-        if gap > spread * (_FAR if one.times > 1 else _FAR_ALONE) or (
-            one.value == 0 < one.low and _apart(others)
-        ):
+        if one.value in _USUAL:
+            seems = gap > _HALF * (one.high - one.low)
+        elif one.low == one.high:  # of two values, neither is far from the other
+            seems = False
+        else:
+            seems = gap > (one.high - one.low) * (_FAR if one.times > 1 else _FAR_ALONE)
+            seems |= one.value == 0 < one.low and _apart(others)
+        if seems:
             return one
     return None
 

@@ -34,6 +34,8 @@ class Raster:
         The sample that the file says is white, if that need not be the largest of the type.
     scaling : (scale, offset)
         What the file says that samples are to be multiplied by, and what is then to be added.
+    exact : bool
+        Whether the samples are those that were written, as they are not after JPEG.
     """
 
     pixels: NDArray[Any]
@@ -42,6 +44,7 @@ class Raster:
     orientation: int = 1
     white: int | None = None
     scaling: tuple[float, float] = UNSCALED
+    exact: bool = True
 
     def upright(self) -> NDArray[Any]:
         """Return the pixels as they are to be seen.

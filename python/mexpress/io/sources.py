@@ -32,6 +32,22 @@ def is_frame(source: Source) -> bool:
     return hasattr(source, "columns") and hasattr(source, "__getitem__")
 
 
+def expect_source(source: Source, name: str) -> None:
+    """Refuse what is neither the name of a file nor a frame.
+
+    Examples
+    --------
+    >>> expect_source([[1, 2], [3, 4]], "points")
+    Traceback (most recent call last):
+        ...
+    TypeError: Invalid points. It must be the name of a file, or a frame; arrays need no reading. Given [[1, 2],
+    [3, 4]].
+    """
+    if not (is_frame(source) or isinstance(source, str | os.PathLike)):
+        rule = "It must be the name of a file, or a frame; arrays need no reading."
+        check.refuse(name, rule, check.describe(source), TypeError)
+
+
 def where(source: Source) -> str:
     """Return what messages call it.
 

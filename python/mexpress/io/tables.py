@@ -412,7 +412,8 @@ class ArrayTable:
         if array.dtype.names and array.ndim == 1:
             return cls(where, name, array.dtype.names, [array[field] for field in array.dtype.names])
         rule = "It must be an array of real numbers with rows and columns."
-        if check.array(array, name, rule, "biuf").ndim != 2:
+        array = check.as_rows(check.array(array, name, rule, "biuf"))
+        if array.ndim != 2:
             check.refuse(name, rule, f"shape {array.shape} in {where}")
         return cls(f"{where} of shape {array.shape}", name, (), list(array.T))
 
