@@ -86,9 +86,21 @@ def array(value: ArrayLike, name: str, rule: str, kinds: str | None = None) -> N
         RuntimeError,
     ) as error:  # what others' arrays raise, such as tensors on a GPU
         refuse(name, rule, _no_array(value, error), TypeError)
+    if result.dtype.kind == "O" and hasattr(value, "to_numpy"):
+        result = _of_nullable(value, result)
     if kinds is not None and result.dtype.kind not in kinds and result.size > 0:
         refuse(name, rule + _CONVERT.get(result.dtype.kind, ""), _no_number(value, result), TypeError)
     return result
+
+
+def _of_nullable(frame: Any, objects: NDArray[Any]) -> NDArray[Any]:
+    """The numbers of a pandas frame or series with types that know NA, NaN for these; as it is if there is text."""
+    if any(isinstance(entry, str) for entry in objects.flat):
+        return objects
+    try:
+        return np.asarray(frame.to_numpy(dtype=np.float64, na_value=np.nan))
+    except (TypeError, ValueError):
+        return objects
 
 
 _CONVERT = {

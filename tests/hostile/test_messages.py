@@ -444,3 +444,26 @@ def test_columns_of_a_frame_are_not_taken_in_another_order_than_x_and_y():
     for ask in (warp, warp.inverse, lambda points: mx.select_warp(points, points)):
         with pytest.raises(ValueError, match=r"x first: \[\['x', 'y'\]\] turns them\. Given y, x\."):
             ask(frame)
+
+
+@pytest.mark.parametrize("kind", ["Float64", "Int64", "double[pyarrow]", object])
+def test_frames_of_types_that_know_na(kind):
+    points = np.round(SOURCE)
+    frame = pd.DataFrame(points).astype(kind)
+    expected = mx.select_warp(points, TARGET, smoothing=0, counts=[4, 5])
+    found = mx.select_warp(frame, pd.DataFrame(TARGET), smoothing=0, counts=[4, 5])
+    np.testing.assert_array_equal(found.maps["FIT"], expected.maps["FIT"])
+    frame.iloc[2, 1] = None
+    with pytest.raises(
+        ValueError, match=r'missing="drop" leaves out the rows of others\. Given nan at row 2, column 1'
+    ):
+        mx.select_warp(frame, TARGET)
+    rest = np.arange(60) != 2
+    expected = mx.select_warp(points[rest], TARGET[rest], smoothing=0, counts=[4, 5])
+    found = mx.select_warp(frame, TARGET, smoothing=0, counts=[4, 5], missing="drop")
+    np.testing.assert_array_equal(found.maps["FIT"], expected.maps["FIT"])
+
+
+def test_text_in_a_frame_is_not_taken_for_numbers():
+    with pytest.raises(TypeError, match="'1' at row 0, column 0"):
+        mx.select_warp(pd.DataFrame([["1", "2"]] * 60), TARGET)

@@ -315,3 +315,9 @@ def test_an_identity_loses_no_pixel():
     for inverse in (False, True):
         np.testing.assert_array_equal(identity.remap(image, inverse=inverse), image)
     assert identity.remap(image, (5, 4)).shape == (4, 5, 3)
+
+
+def test_a_map_beyond_the_range_of_float32():
+    square = np.array([[0.0, 0], [100, 0], [0, 100], [100, 100]])
+    warp = mx.fit_warp(square, square * 1e40, square[:3], fractional=False)
+    np.testing.assert_allclose(warp.dense_map(60, 60)[:, 50, 40], [4e41, 5e41], rtol=1e-3)

@@ -366,7 +366,8 @@ class Warp(FittedModel):
         width, height : int
             Size of the target image in pixels.
         tolerance : float
-            Largest distance from what `inverse` returns, in pixels of the target image, see `dense_map`.
+            Largest distance from what `inverse` returns, in pixels of the target image, see `dense_map`. Where the warp
+            folds, a single pixel may have another of its sources, or none.
         outside : {"extrapolate", "nan"}
             What to return for source positions outside the domain.
 
@@ -561,5 +562,6 @@ def _sufficient(positions: Floats, pixel: float) -> type[np.floating]:
     """Return float32, if it tells positions a tenth of a pixel apart."""
     known = np.abs(positions[np.isfinite(positions)])
     with np.errstate(over="ignore"):
-        coarse = np.spacing(np.float32(known.max(initial=0))) > 0.1 * pixel > 0
+        largest = np.float32(known.max(initial=0))
+    coarse = np.isinf(largest) or np.spacing(largest) > 0.1 * pixel > 0
     return np.float64 if coarse else np.float32

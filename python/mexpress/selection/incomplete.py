@@ -87,14 +87,14 @@ def filled(array: Any, known: NDArray[np.bool_]) -> Any:
     >>> filled([np.nan, 5, 6], np.array([False, True, True]))
     array([5., 5., 6.])
     """
-    rows = check.as_rows(np.array(_beneath(array)))
+    rows: Floats = check.as_rows(check.real(_beneath(array), "data").copy())
     rows[~known] = rows[known.argmax()]
     return rows
 
 
 def filled_weights(weights: Any, known: NDArray[np.bool_]) -> Any:
     """Return the weights of all rows: 0 for those that are not known."""
-    rows = np.ones(len(known)) if weights is None else np.array(_beneath(weights))
+    rows = np.ones(len(known)) if weights is None else check.real(_beneath(weights), "weights").copy()
     rows[~known] = 0
     return rows
 
