@@ -313,3 +313,13 @@ def test_a_control_point_is_found_alone_as_among_others(shift):
         for point in centres:
             found = hats.preimages(np.vstack([point, point * (1 - near)]), centres, 0.5)
             np.testing.assert_allclose(found[0], point, rtol=1e-14, atol=1e-14)
+
+
+def test_integers_and_single_precision_are_parameters_and_positions():
+    hats, whole = PiecewiseAffine([[0, 0], [2, 0], [0, 2]]), np.array([[1], [2], [3]])
+    points = np.array([[1, 1]])
+    for kind in (np.int64, np.float32):
+        np.testing.assert_array_equal(hats.values(points.astype(kind), whole.astype(kind)), [[2.5]])
+        np.testing.assert_array_equal(hats.slopes(points.astype(kind), whole.astype(kind)), [[[0.5, 1]]])
+        corners = np.array([[0, 0], [4, 0], [0, 4]], kind)
+        np.testing.assert_array_equal(hats.preimages(points.astype(kind), corners, 0.5), [[0.5, 0.5]])
