@@ -123,6 +123,11 @@ impl Local for Hats {
         self.points.len()
     }
 
+    /// Outside, every edge of the hull is asked, twice.
+    fn search(&self) -> usize {
+        100 + 20 * self.rim.len()
+    }
+
     #[inline]
     fn visit(&self, point: [f64; 2], mut take: impl FnMut(usize, Jet)) {
         let Some(t) = self.triangle(point) else { return self.visit_outside(point, take) };
