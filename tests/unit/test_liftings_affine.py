@@ -281,7 +281,7 @@ def test_preimages_under_images_that_overlap_much_are_those_of_all_triangles():
     found = PiecewiseAffine(centres).preimages(positions, parameters[:, :2], 0.5)
     for position, point in zip(positions, found, strict=True):
         expected = [at for at, _ in solutions(centres, parameters, position)]
-        if len(expected) and np.ptp(expected, axis=0).max() < 1e-9:
+        if expected and np.ptp(expected, axis=0).max() < 1e-9:
             np.testing.assert_allclose(point, expected[0], rtol=0, atol=1e-9)
         else:
             assert np.isnan(point).all()
