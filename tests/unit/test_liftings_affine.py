@@ -269,3 +269,57 @@ def test_a_corner_and_an_edge_have_one_preimage_and_a_position_that_is_none_has_
     np.testing.assert_allclose(found[:-3], positions[:-3], rtol=0, atol=1e-12)
     assert np.isnan(found[-3:]).all()
     assert np.isnan(PiecewiseAffine(centres).preimages(positions, 0 * centres, 0.5)).all()
+
+
+def test_preimages_under_images_that_overlap_much_are_those_of_all_triangles():
+    random, centres = np.random.default_rng(0), scattered(3000)
+    parameters = np.column_stack([random.normal(0, 1, centres.shape), np.ones(3000)])
+    far = parameters[:, :2] @ [np.cos(1), np.sin(1)]
+    parameters[far.argmax(), :2] *= 2  # only its own triangles reach there
+    tip = parameters[far.argmax(), :2]
+    positions = np.vstack([random.normal(0, 1, (8, 2)), tip, 0.8 * tip, 1.1 * tip])
+    found = PiecewiseAffine(centres).preimages(positions, parameters[:, :2], 0.5)
+    for position, point in zip(positions, found, strict=True):
+        expected = [at for at, _ in solutions(centres, parameters, position)]
+        if expected and np.ptp(expected, axis=0).max() < 1e-9:
+            np.testing.assert_allclose(point, expected[0], rtol=0, atol=1e-9)
+        else:
+            assert np.isnan(point).all()
+    assert np.isnan(found[:8]).all()
+    np.testing.assert_allclose(found[8], centres[far.argmax()], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("far", [1e9, -1e9, 1e300])
+def test_a_far_position_has_no_preimage_and_changes_no_other(far):
+    centres = scattered(300)
+    denominators = 0.1 * centres[:, :1] - 0.2  # images reach 1e6 times as far as they are wide
+    maps = {"plain": centres, "horizon": np.column_stack([centres * denominators, denominators])}
+    positions = np.random.default_rng(1).uniform(2.5, 9, (500, 2))
+    for name, parameters in maps.items():
+        hats = PiecewiseAffine(centres)
+        alone = hats.preimages(positions, parameters, 1e-7)
+        found = hats.preimages(np.vstack([positions, [[far, far / 3]]]), parameters, 1e-7)
+        np.testing.assert_array_equal(found[:-1], alone, err_msg=name)
+        assert np.isnan(found[-1]).all()
+    np.testing.assert_allclose(PiecewiseAffine(centres).preimages(positions, centres, 1e-7), positions)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e3])
+def test_a_control_point_is_found_alone_as_among_others(shift):
+    centres = circle(50) + shift
+    hats = PiecewiseAffine(centres)
+    np.testing.assert_allclose(hats.preimages(centres, centres, 0.5), centres, rtol=1e-14, atol=1e-14)
+    for near in (0.0, 1e-15, 1e-9):
+        for point in centres:
+            found = hats.preimages(np.vstack([point, point * (1 - near)]), centres, 0.5)
+            np.testing.assert_allclose(found[0], point, rtol=1e-14, atol=1e-14)
+
+
+def test_integers_and_single_precision_are_parameters_and_positions():
+    hats, whole = PiecewiseAffine([[0, 0], [2, 0], [0, 2]]), np.array([[1], [2], [3]])
+    points = np.array([[1, 1]])
+    for kind in (np.int64, np.float32):
+        np.testing.assert_array_equal(hats.values(points.astype(kind), whole.astype(kind)), [[2.5]])
+        np.testing.assert_array_equal(hats.slopes(points.astype(kind), whole.astype(kind)), [[[0.5, 1]]])
+        corners = np.array([[0, 0], [4, 0], [0, 4]], kind)
+        np.testing.assert_array_equal(hats.preimages(points.astype(kind), corners, 0.5), [[0.5, 0.5]])

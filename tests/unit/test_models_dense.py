@@ -204,6 +204,20 @@ def test_maps_do_not_depend_on_threads(monkeypatch, lifting):
             np.testing.assert_array_equal(maps[0], other)
 
 
+@pytest.mark.parametrize("lifting", ["bspline", "affine"])
+def test_values_and_slopes_do_not_depend_on_threads(monkeypatch, lifting):
+    functions, random = bent(lifting).lifting, np.random.default_rng(0)
+    points = random.uniform(-0.2, 1.2, (3 * 4096 + 5, 2)) * (WIDTH, HEIGHT)  # four tasks
+    parameters, found = random.normal(0, 1, (len(functions.control_points), 3)), []
+    for threads in ("1", "5"):
+        monkeypatch.setenv("MEXPRESS_NUM_THREADS", threads)
+        found.append((functions.values(points, parameters), functions.slopes(points, parameters)))
+    for one, five in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, five)
+    some = points[::1000]
+    np.testing.assert_allclose(found[0][0][::1000], functions.basis(some) @ parameters, rtol=0, atol=1e-9)
+
+
 def test_the_unit_and_the_origin_of_the_target_do_not_matter():
     here = bent(fractional=False)
     for scale, offset in ((1e-6, 0.0), (1e6, 0.0), (0.5, 5e6)):

@@ -120,7 +120,7 @@ class PiecewiseAffine(LocalLifting):
         denominators = np.ones(len(parameters)) if parameters.shape[1] == 2 else parameters[:, 2]
         maps = np.column_stack([self.control_points, parameters[:, :2], denominators])
         corners = maps[self._mesh.corners.ravel()]
-        return _core.preimages(np.ascontiguousarray(positions), corners, least, check.threads(None))
+        return _core.preimages(np.ascontiguousarray(positions, float), corners, least, check.threads(None))
 
     @cached_property
     def _functions(self) -> _core.LocalFunctions:

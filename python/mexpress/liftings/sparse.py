@@ -108,7 +108,7 @@ class LocalLifting(SparseLifting):
     def entries(self, points: Floats, along: int | None = None) -> Entries:
         """Return the nonzero elements of the basis at n points, or of its derivative along x (0) or y (1)."""
         order = 0 if along is None else along + 1
-        functions, elements = self._functions.elements(np.ascontiguousarray(points), order)
+        functions, elements = self._functions.elements(np.ascontiguousarray(points, float), order)
         for here, column in zip(functions.reshape(elements.shape).T, elements.T, strict=True):
             if len(rows := np.flatnonzero(column)):
                 yield rows, here[rows], column[rows]
@@ -124,4 +124,8 @@ class LocalLifting(SparseLifting):
 
 
 def _for_the_core(points: Floats, parameters: Floats) -> tuple[Floats, Floats, int]:
-    return np.ascontiguousarray(points), np.ascontiguousarray(parameters), check.threads(None)
+    return (
+        np.ascontiguousarray(points, float),
+        np.ascontiguousarray(parameters, float),
+        check.threads(None),
+    )

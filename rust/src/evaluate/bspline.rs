@@ -36,7 +36,7 @@ impl BSplines {
     /// ```
     pub fn new(axes: [Axis; 2], order: Vec<usize>) -> Option<Self> {
         let [x, y] = axes;
-        let whole = x.number.min(y.number) >= 4 && order.len() == x.number * y.number;
+        let whole = x.number.min(y.number) >= 4 && x.number.checked_mul(y.number) == Some(order.len());
         (whole && order.iter().all(|&k| k < order.len())).then_some(Self { axes, order })
     }
 }
@@ -126,5 +126,7 @@ mod tests {
         let axis = Axis { low: 0.0, step: 1.0, number: 4 };
         assert!(BSplines::new([axis, axis], (0..15).collect()).is_none());
         assert!(BSplines::new([axis, axis], (1..17).collect()).is_none());
+        let endless = Axis { number: 1 << (usize::BITS - 2), ..axis };
+        assert!(BSplines::new([endless, axis], Vec::new()).is_none());
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::error::Error;
 use crate::evaluate::local::{Jet, Local};
-use crate::evaluate::triangles::{Triangles, box_about};
+use crate::evaluate::triangles::Triangles;
 
 /// The hat functions of a triangulation.
 #[derive(Clone, Debug)]
@@ -64,9 +64,9 @@ impl Hats {
         let rim =
             hull.iter().map(ends).map(|ends| Rim { ends, beside: ends.map(|end| beside[end]) }).collect();
         let shapes: Vec<_> = corners.iter().map(|corners| corners.map(|k| points[k])).collect();
-        let (low, high) = box_about(&points);
         let gradients = gradients.as_chunks().0.as_chunks().0.to_vec();
-        Ok(Self { points, corners, gradients, triangles: Triangles::new(&shapes, low, high), rim })
+        let triangles = Triangles::new(&shapes, &points);
+        Ok(Self { points, corners, gradients, triangles, rim })
     }
 
     /// The triangle of a point, if it is not outside.
@@ -121,6 +121,11 @@ impl Local for Hats {
 
     fn count(&self) -> usize {
         self.points.len()
+    }
+
+    /// Outside, every edge of the hull is asked, twice.
+    fn search(&self) -> usize {
+        100 + 20 * self.rim.len()
     }
 
     #[inline]

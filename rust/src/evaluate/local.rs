@@ -17,6 +17,11 @@ pub trait Local: Sync {
     /// Number of functions.
     fn count(&self) -> usize;
 
+    /// Multiply-adds that finding those at a point is worth at most.
+    fn search(&self) -> usize {
+        100
+    }
+
     /// Takes the index and the jet of every function that is nonzero at a point; what is taken twice is summed.
     fn visit(&self, point: [f64; 2], take: impl FnMut(usize, Jet));
 

@@ -1,6 +1,7 @@
 //! Models at many points: what images ask for.
 
 pub mod bspline;
+mod cells;
 pub mod hats;
 pub mod local;
 pub mod preimages;

@@ -5,7 +5,8 @@
 //! `s = sum_k (m_k / w_k) s_k / sum_k (m_k / w_k)` is the only point of the triangle that maps to `sum_k m_k p_k`.
 
 use crate::error::Error;
-use crate::evaluate::triangles::{Triangles, box_about};
+use crate::evaluate::cells::range;
+use crate::evaluate::triangles::Triangles;
 use crate::pool::Pool;
 
 /// Points of a task.
@@ -40,11 +41,12 @@ pub fn preimages(
     let visible: Vec<_> = triangles.iter().flat_map(|triangle| before(triangle, least)).collect();
     let images: Vec<_> =
         visible.iter().map(|corners| corners.map(|[_, _, x, y, w]| [x / w, y / w])).collect();
-    let (low, high) = box_about(positions);
-    let index = Triangles::new(&images, low, high);
-    let corners: Vec<_> = triangles.as_flattened().iter().map(|corner| [corner[0], corner[1]]).collect();
-    let (first, last) = box_about(&corners);
-    let same = SAME * (last[0] - first[0]).max(last[1] - first[1]);
+    let index = Triangles::new(&images, positions);
+    let size = [0, 1].map(|b| {
+        let [low, high] = range(triangles.as_flattened().iter().map(|corner| corner[b]));
+        high - low
+    });
+    let same = SAME * size[0].max(size[1]);
     let mut found = vec![f64::NAN; 2 * positions.len()];
     pool.run(
         positions.chunks(TASK).zip(found.chunks_mut(2 * TASK)),

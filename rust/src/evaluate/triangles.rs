@@ -1,26 +1,15 @@
 //! Which of many triangles hold a point.
-//!
-//! A regular grid of cells knows the triangles that meet each of its cells, so a point asks two or three.
 
-use crate::sets::Sets;
+use crate::evaluate::cells::Cells;
 
 /// A point is in a triangle if no barycentric coordinate is below minus this, because of rounding.
-const SLACK: f64 = 1e-12;
+pub(super) const SLACK: f64 = 1e-12;
 
-/// Cells are that much larger than they are, in their own size: what rounding moves across an edge is found.
-const MARGIN: f64 = 1e-6;
-
-/// Most cells along an axis.
-const MOST_CELLS: usize = 1024;
-
-/// Triangles, turning either way, and the cells of a box.
+/// Triangles, turning either way. A point asks the two or three that meet its cell.
 #[derive(Clone, Debug)]
 pub struct Triangles {
     triangles: Vec<Triangle>,
-    low: [f64; 2],
-    per_unit: [f64; 2],
-    side: usize,
-    cells: Sets,
+    cells: Cells,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -37,49 +26,16 @@ struct Edge {
 }
 
 impl Triangles {
-    /// Triangles by their corners; points will be asked for from `low` to `high`.
-    pub fn new(corners: &[[[f64; 2]; 3]], low: [f64; 2], high: [f64; 2]) -> Self {
-        let side = ((2.0 * corners.len() as f64).sqrt().ceil() as usize).clamp(1, MOST_CELLS);
-        let size = [0, 1].map(|b| (high[b] - low[b]) / side as f64);
-        let per_unit = size.map(|size| if size > 0.0 { 1.0 / size } else { 0.0 });
+    /// Triangles by their corners; points will be asked for in the box about the given ones.
+    pub fn new(corners: &[[[f64; 2]; 3]], points: &[[f64; 2]]) -> Self {
         let triangles: Vec<_> = corners.iter().map(Triangle::new).collect();
-        let mut found = Self { triangles, low, per_unit, side, cells: Sets::from_iter([]) };
-        let mut cells = vec![Vec::new(); side * side];
-        for (t, (triangle, corners)) in found.triangles.iter().zip(corners).enumerate() {
-            // It is no triangle, or one that has no numbers.
-            if triangle.doubled_area == 0.0 || !triangle.doubled_area.is_finite() {
-                continue;
-            }
-            let ([left, below], [right, above]) = found.around(corners, size);
-            for row in below..=above {
-                for column in left..=right {
-                    let middle = [column, row].map(|k| k as f64 + 0.5);
-                    let middle = [0, 1].map(|b| low[b] + middle[b] * size[b]);
-                    if triangle.meets(middle, size.map(|size| (0.5 + MARGIN) * size)) {
-                        cells[row * side + column].push(t);
-                    }
-                }
-            }
-        }
-        found.cells = cells.into_iter().collect();
-        found
-    }
-
-    /// First and last column and row of cells that the box about a triangle meets.
-    fn around(&self, corners: &[[f64; 2]; 3], size: [f64; 2]) -> ([usize; 2], [usize; 2]) {
-        let place = |b: usize, best: fn(f64, f64) -> f64, margin: f64| {
-            let coordinate = corners.iter().map(|corner| corner[b]).reduce(best).unwrap_or(0.0);
-            self.cell(b, coordinate + margin * size[b])
-        };
-        ([0, 1].map(|b| place(b, f64::min, -MARGIN)), [0, 1].map(|b| place(b, f64::max, MARGIN)))
-    }
-
-    fn cell(&self, axis: usize, coordinate: f64) -> usize {
-        (((coordinate - self.low[axis]) * self.per_unit[axis]) as usize).min(self.side - 1)
-    }
-
-    fn near(&self, point: [f64; 2]) -> &[usize] {
-        self.cells.get(self.cell(1, point[1]) * self.side + self.cell(0, point[0]))
+        let numbered = triangles.iter().zip(corners).enumerate();
+        let proper: Vec<_> = numbered
+            // Others are no triangles, or have no numbers.
+            .filter(|(_, (triangle, _))| triangle.doubled_area != 0.0 && triangle.doubled_area.is_finite())
+            .map(|(t, (_, corners))| (t, *corners))
+            .collect();
+        Self { triangles, cells: Cells::new(&proper, points) }
     }
 
     /// The triangles that hold a point, with its barycentric coordinates.
@@ -87,30 +43,21 @@ impl Triangles {
     /// ```
     /// use mexpress::evaluate::triangles::Triangles;
     /// let corners = [[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]], [[2.0, 2.0], [2.0, 0.0], [0.0, 2.0]]];
-    /// let halves = Triangles::new(&corners, [0.0, 0.0], [2.0, 2.0]);
+    /// let halves = Triangles::new(&corners, &[[0.0, 0.0], [2.0, 2.0]]);
     /// assert_eq!(halves.holding([0.5, 0.5]).collect::<Vec<_>>(), [(0, [0.5, 0.25, 0.25])]);
     /// assert_eq!(halves.holding([1.0, 1.0]).count(), 2);
     /// assert_eq!(halves.holding([3.0, 1.0]).count(), 0);
     /// ```
     pub fn holding(&self, point: [f64; 2]) -> impl Iterator<Item = (usize, [f64; 3])> {
         let shares = move |&t: &usize| (t, self.triangles[t].shares(point));
-        self.near(point).iter().map(shares).filter(|(_, shares)| least(shares) >= -SLACK)
+        self.cells.at(point).iter().map(shares).filter(|(_, shares)| least(shares) >= -SLACK)
     }
 
     /// The triangle that comes nearest to holding a point, of those about its cell.
     pub fn nearest(&self, point: [f64; 2]) -> Option<usize> {
         let depth = |&&t: &&usize| least(&self.triangles[t].shares(point));
-        self.near(point).iter().max_by(|s, t| depth(s).total_cmp(&depth(t))).copied()
+        self.cells.at(point).iter().max_by(|s, t| depth(s).total_cmp(&depth(t))).copied()
     }
-}
-
-/// Low and high corner of the box about points; NaN and infinity are left out.
-pub fn box_about(points: &[[f64; 2]]) -> ([f64; 2], [f64; 2]) {
-    let finite = |b: usize| points.iter().map(move |point| point[b]).filter(|x| x.is_finite());
-    (
-        [0, 1].map(|b| finite(b).reduce(f64::min).unwrap_or(0.0)),
-        [0, 1].map(|b| finite(b).reduce(f64::max).unwrap_or(0.0)),
-    )
 }
 
 fn least(shares: &[f64; 3]) -> f64 {
@@ -128,14 +75,6 @@ impl Triangle {
     #[inline]
     fn shares(&self, point: [f64; 2]) -> [f64; 3] {
         self.edges.map(|edge| edge.height(point) / self.doubled_area)
-    }
-
-    /// Whether it may reach into a box; the boxes of both are known to meet.
-    fn meets(&self, middle: [f64; 2], half: [f64; 2]) -> bool {
-        self.edges.iter().all(|edge| {
-            let reach = edge.along[0].abs() * half[1] + edge.along[1].abs() * half[0];
-            edge.height(middle) * self.doubled_area.signum() >= -reach
-        })
     }
 }
 
@@ -167,7 +106,7 @@ mod tests {
     #[test]
     fn the_triangles_that_hold_a_point_are_those_of_all_that_do() {
         let corners = example();
-        let found = Triangles::new(&corners, [0.0, 0.0], [2.0, 2.0]);
+        let found = Triangles::new(&corners, &[[0.0, 0.0], [2.0, 2.0]]);
         let mut held = 0;
         for k in 0..5000 {
             let point = [2.0 * (0.569_84 * f64::from(k)).fract(), 2.0 * (0.618_034 * f64::from(k)).fract()];
@@ -200,10 +139,10 @@ mod tests {
         let line = [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]];
         let nowhere = [[0.0, 0.0], [f64::NAN, 1.0], [2.0, 0.0]];
         let endless = [[0.0, 0.0], [f64::INFINITY, 1.0], [2.0, 0.0]];
-        let found = Triangles::new(&[line, nowhere, endless], [0.0, 0.0], [2.0, 2.0]);
+        let found = Triangles::new(&[line, nowhere, endless], &[[0.0, 0.0], [2.0, 2.0]]);
         for point in [[1.0, 1.0], [1.0, 0.2], [f64::NAN, 0.0], [f64::INFINITY, -1e300]] {
             assert_eq!(found.holding(point).count(), 0);
         }
-        assert_eq!(Triangles::new(&[], [0.0; 2], [0.0; 2]).nearest([0.0, 0.0]), None);
+        assert_eq!(Triangles::new(&[], &[]).nearest([0.0, 0.0]), None);
     }
 }

@@ -65,8 +65,15 @@ enum Kind {
     Hats(Hats),
 }
 
-/// Multiply-adds that finding the nonzero functions at a point is worth.
-const FINDING: usize = 100;
+impl LocalFunctions {
+    /// Multiply-adds that so many numbers for each function are worth at a point.
+    fn cost(&self, numbers: usize) -> usize {
+        match &self.0 {
+            Kind::BSplines(functions) => functions.search() + BSplines::MOST * numbers,
+            Kind::Hats(functions) => functions.search() + Hats::MOST * numbers,
+        }
+    }
+}
 
 #[pymethods]
 impl LocalFunctions {
@@ -86,6 +93,7 @@ impl LocalFunctions {
     /// Hat functions of a triangulation: its points, corners, their gradients, and triangles and sides of its hull.
     #[staticmethod]
     fn hats(
+        py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,
         corners: PyReadonlyArray1<'_, i64>,
         gradients: PyReadonlyArray2<'_, f64>,
@@ -93,7 +101,8 @@ impl LocalFunctions {
         sides: PyReadonlyArray1<'_, i64>,
     ) -> PyResult<Self> {
         let hull: Vec<_> = numbers(&triangles)?.into_iter().zip(numbers(&sides)?).collect();
-        let hats = Hats::new(matrix(&points)?, &numbers(&corners)?, matrix(&gradients)?, &hull)?;
+        let (points, corners, gradients) = (matrix(&points)?, numbers(&corners)?, matrix(&gradients)?);
+        let hats = py.detach(|| Hats::new(points, &corners, gradients, &hull))?;
         Ok(Self(Kind::Hats(hats)))
     }
 
@@ -107,7 +116,8 @@ impl LocalFunctions {
     ) -> PyResult<Array2<'py, f64>> {
         let (n, columns) = (points.shape()[0], parameters.shape()[1]);
         let (points, parameters) = (matrix(&points)?, matrix(&parameters)?);
-        let values = interruptible(py, (n * FINDING) as f64, threads, |pool| match &self.0 {
+        let cost = (n * self.cost(columns)) as f64;
+        let values = interruptible(py, cost, threads, |pool| match &self.0 {
             Kind::BSplines(functions) => functions.values(points, parameters, columns, pool),
             Kind::Hats(functions) => functions.values(points, parameters, columns, pool),
         })?;
@@ -124,7 +134,8 @@ impl LocalFunctions {
     ) -> PyResult<Array2<'py, f64>> {
         let (n, columns) = (points.shape()[0], parameters.shape()[1]);
         let (points, parameters) = (matrix(&points)?, matrix(&parameters)?);
-        let slopes = interruptible(py, (n * FINDING) as f64, threads, |pool| match &self.0 {
+        let cost = (n * self.cost(2 * columns)) as f64;
+        let slopes = interruptible(py, cost, threads, |pool| match &self.0 {
             Kind::BSplines(functions) => functions.slopes(points, parameters, columns, pool),
             Kind::Hats(functions) => functions.slopes(points, parameters, columns, pool),
         })?;
@@ -164,8 +175,9 @@ pub(super) fn preimages_of<'py>(
 ) -> PyResult<Array2<'py, f64>> {
     let n = positions.shape()[0];
     let (positions, triangles) = (matrix(&positions)?, matrix(&corners)?.as_chunks().0.as_chunks().0);
-    let found = interruptible(py, (n * FINDING) as f64, threads, |pool| {
-        preimages::preimages(positions, triangles, least, pool)
-    })?;
+    // A cell has some triangles in the mean, and a triangle some cells.
+    let cost = (100 * n + 1000 * triangles.len()) as f64;
+    let found =
+        interruptible(py, cost, threads, |pool| preimages::preimages(positions, triangles, least, pool))?;
     table(py, found, n, 2)
 }
