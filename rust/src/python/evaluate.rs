@@ -62,7 +62,7 @@ pub(super) struct LocalFunctions(Kind);
 
 enum Kind {
     BSplines(BSplines),
-    Hats(Hats),
+    Hats(Box<Hats>),
 }
 
 impl LocalFunctions {
@@ -103,7 +103,7 @@ impl LocalFunctions {
         let hull: Vec<_> = numbers(&triangles)?.into_iter().zip(numbers(&sides)?).collect();
         let (points, corners, gradients) = (matrix(&points)?, numbers(&corners)?, matrix(&gradients)?);
         let hats = py.detach(|| Hats::new(points, &corners, gradients, &hull))?;
-        Ok(Self(Kind::Hats(hats)))
+        Ok(Self(Kind::Hats(Box::new(hats))))
     }
 
     /// Their combinations at points: a row each.
