@@ -64,6 +64,30 @@ def test_a_comment_names_columns_in_another_order(tmp_path):
     np.testing.assert_array_equal(np.column_stack([cloud.points, cloud.values])[:2], [[1, 2, 3], [4, 5, 6]])
 
 
+@pytest.mark.parametrize(
+    ("read", "content", "expected"),
+    [
+        (read_matches, "# y1,x1,y2,x2\n# written by foo 1.2\n1,2,3,4\n", [2, 1, 4, 3]),
+        (read_matches, "# y1,x1,y2,x2\n# written by foo yesterday\n1,2,3,4\n", [2, 1, 4, 3]),
+        (read_matches, "# matches of two images\n# y1,x1,y2,x2\n\n# 1 pair\n1,2,3,4\n", [2, 1, 4, 3]),
+        (read_points, "# row col\n# frame 17\n1 2\n", [2, 1]),
+        (read_points, "#lat lon\n#CRS: EPSG:4326\n48 11\n", [11, 48]),
+        (read_points, "#CRS: EPSG:4326\n#lat lon\n48 11\n", [11, 48]),
+        (read_points, "% Columns: lat, lon\n48 11\n", [11, 48]),
+        (read_points, "# two points\n# frame 17\n48 11\n", [48, 11]),
+    ],
+)
+def test_any_comment_before_the_numbers_may_name_the_columns(tmp_path, read, content, expected):
+    (tmp_path / "t.txt").write_text(content)
+    np.testing.assert_array_equal(np.ravel(read(tmp_path / "t.txt")), expected)
+
+
+def test_a_comment_below_the_names_of_a_cloud(tmp_path):
+    (tmp_path / "c.txt").write_text("# z x y\n# exported\n3 1 2\n6 4 5\n9 7 8\n1 0 0\n")
+    cloud = read_cloud(tmp_path / "c.txt")
+    np.testing.assert_array_equal(np.column_stack([cloud.points, cloud.values])[:2], [[1, 2, 3], [4, 5, 6]])
+
+
 def test_a_first_row_of_whole_numbers_is_one_if_others_are_too(tmp_path):
     (tmp_path / "m.csv").write_text("0,1,2,3\n4,5,6,7.5\n")
     assert len(read_matches(tmp_path / "m.csv")[0]) == 2

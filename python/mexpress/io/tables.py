@@ -92,6 +92,20 @@ XYZ = Layout(("x", "y", "z"), [(*axes, height) for axes in _AXES for height in _
 UVXYZ = Layout(("u", "v", "x", "y", "z"), [("u", "v", "x", "y", "z")], nameless=False)
 
 
+_KNOWN = _NO_COORDINATES.union(*(names for one in (MATCHES, POINTS, XYZ, UVXYZ) for names in one.spellings))
+
+
+def count_known(names: Sequence[str]) -> int:
+    """Count the names that say what is in a column.
+
+    Examples
+    --------
+    >>> count_known(["Source_X [px]", "colour"])
+    1
+    """
+    return sum(plain(name) in _KNOWN for name in names)
+
+
 class Table(Protocol):
     """Rows of cells, and what is known of its columns."""
 

@@ -31,7 +31,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.io.endings import readable
-from mexpress.io.tables import between_labels
+from mexpress.io.tables import between_labels, count_known
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 _NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
@@ -196,7 +196,7 @@ def read_text(path: Path, name: str) -> TextTable:
     """
     where = "standard input" if str(path) == STANDARD_INPUT else path.name
     content = sys.stdin.buffer.read() if str(path) == STANDARD_INPUT else path.read_bytes()
-    lines, comment = _lines(_decoded(content, name, where))
+    lines, comments = _lines(_decoded(content, name, where))
     if not lines:
         check.refuse(name, "The file must have at least one line of numbers.", f"{where}, which has none")
     separator = _separator(lines[0][1])
@@ -210,10 +210,8 @@ def read_text(path: Path, name: str) -> TextTable:
         names, lines, rows = rows[0], lines[1:], rows[1:]
         if rows and len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
             names = ["", *names]
-    elif comment:
-        cells = _split(comment, _separator(comment))
-        if len(cells) == len(rows[0]) and _is_header([cells]):
-            names = cells
+    else:
+        names = _named_in(comments, rows[0])
     return TextTable(where, name, names, lines, separator)
 
 
@@ -228,10 +226,23 @@ def _decoded(content: bytes, name: str, where: str) -> str:
     check.refuse(name, f"{readable(name)} {rule}", f"{where}, which is not")
 
 
-def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
-    """Return the lines that hold something, with their numbers, and the last comment before them."""
+def _named_in(comments: Sequence[str], row: Sequence[str]) -> list[str]:
+    """Return the names of a row's columns that a comment has: the most that are known, else those of the last one."""
+    headers: list[list[str]] = [[]]
+    for comment in comments:
+        for text in (comment, comment.partition(":")[2]):  # columns: x y
+            cells = _split(text, _separator(text))
+            known = count_known(cells)
+            labelled = known == len(cells) < len(row) and not _is_number(row[len(cells)])
+            if (len(cells) == len(row) or labelled) and _is_header([cells]):
+                headers.append(cells)
+    return max(reversed(headers), key=count_known)
+
+
+def _lines(text: str) -> tuple[list[tuple[int, str]], list[str]]:
+    """Return the lines that hold something, with their numbers, and the comments before them."""
     lines: list[tuple[int, str]] = []
-    comment = ""
+    comments: list[str] = []
     for number, raw in enumerate(io.StringIO(text, newline=None), start=1):
         line = raw.strip()
         if line and "\t" in raw:  # which may stand for empty cells at the ends
@@ -239,10 +250,10 @@ def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
         if "#" in line:
             line = re.sub(r"\s#.*", "", line)
         if line.startswith(_COMMENTS):
-            comment = comment if lines else line.lstrip("#%/ \t")
+            comments += [] if lines else [line.lstrip("#%/ \t")]
         elif line:
             lines.append((number, line))
-    return lines, comment
+    return lines, comments
 
 
 def _separator(line: str) -> str | None:
