@@ -50,6 +50,37 @@ def test_texts_that_people_write(tmp_path, content):
     np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), ROWS)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        'x1,y1,x2,y2\n"1,234","2,500","1,240","2,510"\n800,700,810,705\n',
+        'x1,y1,x2,y2\n"1,234","2,500","1,240","2,510"\n',
+        "x1\ty1\tx2\ty2\n1,234\t2,500\t1,240\t2,510\n800\t700\t810\t705\n",
+        "x1;y1;x2;y2\n1,234;2,500;1,240;2,510\n800;700;810;705\n",
+    ],
+)
+def test_commas_that_may_be_decimal_or_between_thousands(tmp_path, content):
+    (tmp_path / "m.csv").write_text(content)
+    says = r"thousands without a mark, .* Given '1,234' in line 2 of m\.csv, which may be 1234 or 1\.234\.$"
+    with pytest.raises(ValueError, match=rf"^Invalid matches\. .*{says}"):
+        read_matches(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ('"1,234","2,5"\n"3,000","4,125"\n', [[1.234, 2.5], [3, 4.125]]),
+        ('"0,234","2,500"\n"3,000","4,125"\n', [[0.234, 2.5], [3, 4.125]]),
+        ("1,234;2,500\n3,000;4,125\n", [[1.234, 2.5], [3, 4.125]]),
+        ("1,234;2,500\n3;4,12\n", [[1.234, 2.5], [3, 4.12]]),
+        ("1,234;0\n3,000;4\n", [[1.234, 0], [3, 4]]),
+    ],
+)
+def test_commas_that_must_be_decimal(tmp_path, content, expected):
+    (tmp_path / "p.csv").write_text(content)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), expected)
+
+
 def test_a_quoted_separator_does_not_make_up_for_a_missing_cell(tmp_path):
     (tmp_path / "m.csv").write_text('name,x1,y1,x2,y2\n"A",1,2,3,4\n"B, 1, b",5,6\n')
     with pytest.raises(ValueError, match=r"5 columns, as the first has\. Given 3 in line 3"):

@@ -34,6 +34,7 @@ from mexpress.io.endings import readable
 from mexpress.io.tables import between_labels, count_known
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
+_THOUSANDS, _BELOW = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}"), re.compile(r"[+-]?[1-9][0-9]{0,2}")
 _NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
 _COMMENTS = ("#", "%", "//")
 _BYTE_ORDER_MARKS = {
@@ -106,6 +107,8 @@ class TextTable:
             [cells[k] for k in columns] for cells in (self._cells(*line, max(columns)) for line in self.lines)
         ]
         comma = any(_has_comma(cell) for row in rows for cell in row)
+        if comma:
+            self._refuse_thousands(rows)
         plain = ["\t".join("nan" if _is_nothing(cell) else cell for cell in row) for row in rows]
         if comma and not any("." in line for line in plain):
             plain = [line.replace(",", ".") for line in plain]
@@ -128,6 +131,25 @@ class TextTable:
             return all(len(line.split()) == self.width for line in lines)
         more = self.width - 1
         return all(line.count(self.separator) == more and '"' not in line for line in lines)
+
+    def _refuse_thousands(self, rows: Sequence[Sequence[str]]) -> None:
+        """Refuse commas that may be between thousands as well as decimal ones.
+
+        Three digits follow every one. Where commas also separate the cells, decimal commas are not usual. Elsewhere
+        there must be a whole number below 1000 in the same column: among decimals it would have some, too.
+        """
+        marked = [(k, row) for k, row in enumerate(rows) if any(_has_comma(cell) for cell in row)]
+        if any(_has_comma(cell) and not _THOUSANDS.fullmatch(cell) for _, row in marked for cell in row):
+            return
+        columns = zip(*rows, strict=True)
+        mixed = any(any(map(_has_comma, cells)) and any(map(_BELOW.fullmatch, cells)) for cells in columns)
+        if self.separator != "," and not mixed:
+            return
+        k, row = marked[0]
+        cell = next(filter(_has_comma, row))
+        rule = "Commas in numbers must be clear: write thousands without a mark, or decimals with a point."
+        reading = f"which may be {cell.replace(',', '')} or {cell.replace(',', '.')}"
+        check.refuse(self.name, rule, f"{cell!r} in {self._line(self.lines[k][0])}, {reading}")
 
     def _one_by_one(self, rows: Sequence[Sequence[str]], mark: str) -> Floats:
         return np.array(
