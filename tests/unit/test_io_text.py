@@ -119,9 +119,40 @@ def test_a_comment_below_the_names_of_a_cloud(tmp_path):
     np.testing.assert_array_equal(np.column_stack([cloud.points, cloud.values])[:2], [[1, 2, 3], [4, 5, 6]])
 
 
-def test_a_first_row_of_whole_numbers_is_one_if_others_are_too(tmp_path):
-    (tmp_path / "m.csv").write_text("0,1,2,3\n4,5,6,7.5\n")
-    assert len(read_matches(tmp_path / "m.csv")[0]) == 2
+@pytest.mark.parametrize(
+    ("read", "content"),
+    [
+        (read_matches, "0,1,2,3\n10,20,11,21\n30,40,31,41\n"),
+        (read_matches, "0,1,2,3\n4,5,6,7.5\n"),
+        (read_matches, "0,1,2,3\n1.5,2.5,3.5,4.5\n1.5,2.5,3.5,-4\n"),
+        (read_points, "0;1\n10;20\n"),
+        (read_cloud, "0,1,2\n10,20,11\n30,40,31\n5,6,7\n"),
+        (read_cloud, "0 1 2\n10 20 11\n30 40 31\n5 6 7\n"),
+    ],
+)
+def test_a_first_row_that_counts_may_be_names_or_numbers(tmp_path, read, content):
+    (tmp_path / "m.csv").write_text(content)
+    first = content.split("\n", 1)[0]
+    with pytest.raises(
+        ValueError, match=rf"may be names, .*, or a row; write names .* Given '{first}' above "
+    ):
+        read(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("0,1\n10.0,20.0\n-3.5,nan\n", [[10, 20]]),
+        ("0,1\n", [[0, 1]]),
+        ("1,0\n10,20\n", [[1, 0], [10, 20]]),
+        ("0.0,1\n10,20\n", [[0, 1], [10, 20]]),
+        ("# x,y\n0,1\n10,20\n", [[0, 1], [10, 20]]),
+        ("x,y\n0,1\n10,20\n", [[0, 1], [10, 20]]),
+    ],
+)
+def test_a_first_row_that_counts_and_is_clear(tmp_path, content, expected):
+    (tmp_path / "p.csv").write_text(content)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv", missing="drop"), expected)
 
 
 @pytest.mark.parametrize(

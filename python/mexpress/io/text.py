@@ -35,6 +35,7 @@ from mexpress.io.tables import between_labels, count_known
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 _THOUSANDS, _BELOW = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}"), re.compile(r"[+-]?[1-9][0-9]{0,2}")
+_WHOLE = re.compile(r"[+-]?[0-9]+")
 _NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
 _COMMENTS = ("#", "%", "//")
 _BYTE_ORDER_MARKS = {
@@ -42,6 +43,10 @@ _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+_UNCLEAR_COUNT = (
+    "Its first line must be clear: 0, 1, ... may be names, as pandas writes for columns without, or a row; "
+    "write names such as x,y in its place, or above it."
+)
 STANDARD_INPUT = "-"
 """Name of the file that is read from there."""
 
@@ -227,13 +232,14 @@ def read_text(path: Path, name: str) -> TextTable:
     ):  # Excel
         separator, lines = told[1] or "\t", lines[1:]
     rows = [_split(line, separator) for _, line in lines[:2]]
-    names: list[str] = []
-    if _is_header(rows):
+    names = _named_in(comments, rows[0])
+    counted = _counts(rows[0]) and len(lines) > 1 and not count_known(names)
+    if counted and (whole := _first_whole(lines[1:], separator)):
+        check.refuse(name, _UNCLEAR_COUNT, f"{lines[0][1]!r} above {whole!r} in {where}")
+    if counted or _is_header(rows[0]):
         names, lines, rows = rows[0], lines[1:], rows[1:]
         if rows and len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
             names = ["", *names]
-    else:
-        names = _named_in(comments, rows[0])
     return TextTable(where, name, names, lines, separator)
 
 
@@ -256,7 +262,7 @@ def _named_in(comments: Sequence[str], row: Sequence[str]) -> list[str]:
             cells = _split(text, _separator(text))
             known = count_known(cells)
             labelled = known == len(cells) < len(row) and not _is_number(row[len(cells)])
-            if (len(cells) == len(row) or labelled) and _is_header([cells]):
+            if (len(cells) == len(row) or labelled) and _is_header(cells):
                 headers.append(cells)
     return max(reversed(headers), key=count_known)
 
@@ -290,15 +296,21 @@ def _split(line: str, separator: str | None) -> list[str]:
     return [cell.strip().strip("\"'") for cell in cells]
 
 
-def _is_header(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first of two rows is names: none is a number, or they are the numbers that pandas counts by."""
-    first = rows[0]
-    if not any(map(_is_number, first)):
-        return not all(map(_is_nothing, first))
-    count = [str(k) for k in range(len(first))]
-    if first == ["", *count[:-1]]:
-        return True
-    return len(first) > 1 and first == count and len(rows) > 1 and not any(map(str.isdecimal, rows[1]))
+def _is_header(cells: Sequence[str]) -> bool:
+    """Whether cells are names: none is a number, or they are the numbers that pandas counts by beside row names."""
+    if not any(map(_is_number, cells)):
+        return not all(map(_is_nothing, cells))
+    return cells[0] == "" and _counts(cells[1:])
+
+
+def _counts(cells: Sequence[str]) -> bool:
+    """Whether cells are 0, 1, ..., as pandas calls columns that have no names."""
+    return list(cells) == [str(k) for k in range(len(cells))] and len(cells) > 1
+
+
+def _first_whole(lines: Sequence[tuple[int, str]], separator: str | None) -> str:
+    """Return the first line with a whole number, or "": where there is none, whole numbers are names."""
+    return next((line for _, line in lines if any(map(_WHOLE.fullmatch, _split(line, separator)))), "")
 
 
 def _is_number(cell: str) -> bool:
