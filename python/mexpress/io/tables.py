@@ -60,7 +60,7 @@ _SIDES = (
 )
 _NO_COORDINATES = {
     *("id", "index", "idx", "no", "nr", "number", "point", "pointid", "name", "label", "time", "timestamp"),
-    *("weight", "weights", "score", "confidence", "sigma", "error", "enable", "active"),
+    *("weight", "weights", "score", "confidence", "sigma", "error", "enable", "enabled", "active"),
 }
 
 
