@@ -81,6 +81,22 @@ def test_commas_that_must_be_decimal(tmp_path, content, expected):
     np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), expected)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        'name,x,y\n"GCP #1",1,2\n',
+        'name,x,y\n"GCP #1, left",1,2  # "good"\n',
+        '"Point #",x,y\n"#1",1,2\n',
+        'x y name\n1 2 "GCP #1"\n',
+        '1,2 # 12" from the edge\n',
+        '1,2,12" #1\n',
+    ],
+)
+def test_a_quoted_hash_begins_no_comment(tmp_path, content):
+    (tmp_path / "p.csv").write_text(content)
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), [[1, 2]])
+
+
 def test_a_quoted_separator_does_not_make_up_for_a_missing_cell(tmp_path):
     (tmp_path / "m.csv").write_text('name,x1,y1,x2,y2\n"A",1,2,3,4\n"B, 1, b",5,6\n')
     with pytest.raises(ValueError, match=r"5 columns, as the first has\. Given 3 in line 3"):

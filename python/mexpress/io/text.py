@@ -38,6 +38,7 @@ _THOUSANDS, _BELOW = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}"), re.compile(r"
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
 _COMMENTS = ("#", "%", "//")
+_AFTER_CELLS = re.compile(r"""^((?:[^"]|"[^"]*")*?)\s#.*""")  # not in quotes
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
@@ -276,7 +277,7 @@ def _lines(text: str) -> tuple[list[tuple[int, str]], list[str]]:
         if line and "\t" in raw:  # which may stand for empty cells at the ends
             line = raw.strip("\n ")
         if "#" in line:
-            line = re.sub(r"\s#.*", "", line)
+            line = _AFTER_CELLS.sub(r"\1", line)
         if line.startswith(_COMMENTS):
             comments += [] if lines else [line.lstrip("#%/ \t")]
         elif line:
