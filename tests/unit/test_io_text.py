@@ -203,10 +203,35 @@ def test_what_is_no_text(tmp_path, content):
         read_matches(tmp_path / "m.csv")
 
 
-@pytest.mark.parametrize("word", ["", "NA", "n/a", "NaN", "nan", "-nan", "NULL", "None", "<NA>"])
+NOTHING = ["NA", "n/a", "NaN", "nan", "-nan", "NULL", "None", "<NA>", "#N/A", "#NV", "#DIV/0!", "-", "--"]
+NOTHING += ["1.#QNAN", "-1.#IND", "1.#INF00", "-nan(ind)", "nan(snan)"]
+
+
+@pytest.mark.parametrize("word", ["", *NOTHING])
 def test_words_for_nothing(tmp_path, word):
     (tmp_path / "c.csv").write_text(f"x,y,z\n1,2,3\n1,2,{word}\n4,5,6\n7,8,9\n5,5,5\n")
     assert read_cloud(tmp_path / "c.csv").n_missing == 1
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("word", NOTHING)
+def test_words_for_nothing_in_every_column(tmp_path, word, separator):
+    rows = [[word, "2"], ["3", "4"], ["5", word], [word, word], ["7", "8"]]
+    (tmp_path / "p.csv").write_text("".join(separator.join(row) + "\n" for row in rows))
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv", missing="drop"), [[3, 4], [7, 8]])
+    with pytest.raises(ValueError, match=r"missing=\"drop\" leaves out .* in line 1 of p\.csv"):
+        read_points(tmp_path / "p.csv")
+
+
+@pytest.mark.parametrize("word", ["-", "NA", "#N/A"])
+def test_words_for_nothing_among_labels(tmp_path, word):
+    (tmp_path / "p.csv").write_text(f"1,2,{word}\n3,4,left\n5,6,{word}\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), [[1, 2], [3, 4], [5, 6]])
+
+
+def test_comments_about_words_for_nothing(tmp_path):
+    (tmp_path / "p.csv").write_text("#N/A means no data\n#name x y\n1 2 #N/A is good\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "p.csv"), [[1, 2]])
 
 
 LINES = st.lists(st.text("019.,;-+\t \"'#%/xyzeNAn\r\n\0é", max_size=20), max_size=5).map("\n".join)

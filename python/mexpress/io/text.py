@@ -36,9 +36,15 @@ from mexpress.io.tables import between_labels, count_known
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
 _THOUSANDS, _BELOW = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}"), re.compile(r"[+-]?[1-9][0-9]{0,2}")
 _WHOLE = re.compile(r"[+-]?[0-9]+")
-_NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
-_COMMENTS = ("#", "%", "//")
-_AFTER_CELLS = re.compile(r"""^((?:[^"]|"[^"]*")*?)\s#.*""")  # not in quotes
+_ERROR = r"#(N/A|NV|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)"
+"""What spreadsheets write where there is no number."""
+_NOTHING = re.compile(
+    rf"(na|n/a|#na|<na>|null|none|--?|{_ERROR}|[+-]?nan\(\w*\)|[+-]?1[.,]#\w*)?",  # the last ones in C on Windows
+    re.IGNORECASE,
+)
+_HASH = rf"""(?!{_ERROR}(\s*[,;\t"]|\s+[-+.\d#]|\s*$))#"""
+_COMMENT = re.compile(rf"{_HASH}|%|//", re.IGNORECASE)
+_AFTER_CELLS = re.compile(rf"""^((?:[^"]|"[^"]*")*?)\s{_HASH}.*""", re.IGNORECASE)  # not in quotes
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
@@ -92,10 +98,23 @@ class TextTable:
         names = self.names or [""] * self.width
         if not self.lines:
             return range(0)
-        cells = zip(self.first, names, strict=False)
+        cells = zip(self._examples, names, strict=False)
         return between_labels(
             [not (_is_number(cell) or (_is_nothing(cell) and (cell or name))) for cell, name in cells]
         )
+
+    @property
+    def _examples(self) -> list[str]:
+        """The first cell of each column that holds something, or that of the first row: "-" may be among words."""
+        examples = self.first
+        for _, line in self.lines[1:]:
+            absent = [k for k, cell in enumerate(examples) if _is_nothing(cell)]
+            if not absent:
+                break
+            cells = _split(line, self.separator)
+            for k in absent:
+                examples[k] = cells[k] if k < len(cells) and not _is_nothing(cells[k]) else examples[k]
+        return examples
 
     def words(self, column: int) -> list[str]:
         """Return a column as it is written."""
@@ -278,7 +297,7 @@ def _lines(text: str) -> tuple[list[tuple[int, str]], list[str]]:
             line = raw.strip("\n ")
         if "#" in line:
             line = _AFTER_CELLS.sub(r"\1", line)
-        if line.startswith(_COMMENTS):
+        if _COMMENT.match(line):
             comments += [] if lines else [line.lstrip("#%/ \t")]
         elif line:
             lines.append((number, line))
@@ -323,4 +342,4 @@ def _has_comma(cell: str) -> bool:
 
 
 def _is_nothing(cell: str) -> bool:
-    return cell.lower() in _NOTHING
+    return bool(_NOTHING.fullmatch(cell))
