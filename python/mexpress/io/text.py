@@ -196,11 +196,13 @@ class TextTable:
         check.refuse(self.name, rule, f"{cell!r} in {self._line(number)}")
 
     def _cells(self, number: int, line: str, last: int) -> list[str]:
-        """Cut a line, which has as many cells as all, but for words of a label behind the last column wanted."""
+        """Cut a line, which has as many cells as all, but for words of a label behind the numbers."""
         cells = _split(line, self.separator)
         fewest = self.width if self.names else max(self.numeric.stop, last + 1)
         labelled = self.separator is None and len(cells) >= fewest and self.numeric.stop < self.width
-        if len(cells) != self.width and not labelled:
+        only_numbers = len(cells) > self.width == self.numeric.stop
+        commented = only_numbers and not (_is_number(cells[self.width]) or _is_nothing(cells[self.width]))
+        if len(cells) != self.width and not (labelled or commented):
             rule = f"A line must have {self.width} columns, as the first has."
             check.refuse(self.name, rule, f"{len(cells)} in {self._line(number)}")
         return cells
