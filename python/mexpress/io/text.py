@@ -31,6 +31,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.io.endings import readable
+from mexpress.io.grids import is_grid
 from mexpress.io.tables import between_labels, count_known
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
@@ -245,6 +246,11 @@ def read_text(path: Path, name: str) -> TextTable:
     """
     where = "standard input" if str(path) == STANDARD_INPUT else path.name
     content = sys.stdin.buffer.read() if str(path) == STANDARD_INPUT else path.read_bytes()
+    if is_grid(content):
+        rule = (
+            "It must be a table; a grid with ncols and nrows, as ESRI's, is for read_cloud, in an .asc file."
+        )
+        check.refuse(name, rule, f"{where}, such a grid")
     lines, comments = _lines(_decoded(content, name, where))
     if not lines:
         check.refuse(name, "The file must have at least one line of numbers.", f"{where}, which has none")
