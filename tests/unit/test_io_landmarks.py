@@ -114,6 +114,17 @@ def test_rows_of_any_table_that_are_not_in_use(tmp_path, switch, on, off):
     assert (cloud.values.tolist(), cloud.n_missing) == ([0, 2, 3, 4, 5], 1)
 
 
+@pytest.mark.parametrize("header", ["a,b,c,d,enabled", "enabled,a,b,c,d", "a,b,active,c,d"])
+@pytest.mark.parametrize(("on", "off"), [("1", "0"), ("true", "false")])
+def test_a_switch_is_none_of_the_columns_without_known_names(tmp_path, header, on, off):
+    at = [len(name) > 1 for name in header.split(",")].index(True)
+    rows = [[*"1234"], [*"5678"]]
+    for row, switch in zip(rows, (on, off), strict=True):
+        row.insert(at, switch)
+    (tmp_path / "m.csv").write_text("".join(",".join(row) + "\n" for row in [[header], *rows]))
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), [[1, 2, 3, 4]])
+
+
 def test_bigwarp_below_a_header(tmp_path):
     header = "name,active,moving x,moving y,fixed x,fixed y\n"
     (tmp_path / "landmarks.csv").write_text(header + BIGWARP)

@@ -131,6 +131,7 @@ def test_names_that_contradict_the_order_are_refused_with_both_readings(file, re
         ("north,east", [1, 0]),
         ("id,N [m],E [m]", [2, 1]),
         ("hoch,rechts", [1, 0]),
+        ("Nord,Ost", [1, 0]),
         ("Hochwert,Rechtswert", [1, 0]),
         ("E,N,sE,sN", [0, 1]),
         ("lon,lat,sx,sy", [0, 1]),

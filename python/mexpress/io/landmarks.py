@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.io.tables import Table, plain
+from mexpress.io.tables import SWITCHES, Table, plain
 from mexpress.io.text import TextTable
 
-_SWITCHES = {"enable", "enabled", "active"}
 _OFF, _ON = {"0", "0.0", "false", "no", "off"}, {"1", "1.0", "true", "yes", "on"}
 
 
@@ -106,7 +105,7 @@ def out_of_use(table: Table) -> NDArray[np.bool_] | None:
     >>> out_of_use(ArrayTable("m.npy", "matches", ["x", "y", "enabled"], np.eye(3)))
     array([ True,  True, False])
     """
-    column = next((k for k, name in enumerate(table.names) if plain(name) in _SWITCHES), None)
+    column = next((k for k, name in enumerate(table.names) if plain(name) in SWITCHES), None)
     if column is None and isinstance(table, TextTable) and _bigwarp(table):
         column = 1
     if column is None:

@@ -28,6 +28,7 @@ _AXES = (
     ("easting", "northing"),
     ("east", "north"),
     ("e", "n"),
+    ("ost", "nord"),
     ("rechts", "hoch"),
     ("rechtswert", "hochwert"),
     ("longitude", "latitude"),
@@ -66,9 +67,12 @@ _SIDES = (
 )
 _LETTERS = ("s", "t"), ("s", "d"), ("m", "f"), ("q", "t"), ("l", "r")
 """Sides that are so called only where all four columns are: columns sx, sy are deviations as well."""
+SWITCHES = {"enable", "enabled", "active"}
+"""Names of the column that says which rows are in use."""
 _NO_COORDINATES = {
+    *SWITCHES,
     *("id", "index", "idx", "no", "nr", "number", "point", "pointid", "name", "label", "time", "timestamp"),
-    *("weight", "weights", "score", "confidence", "sigma", "error", "enable", "enabled", "active"),
+    *("weight", "weights", "score", "confidence", "sigma", "error"),
 }
 
 
@@ -213,7 +217,8 @@ def choose(
     for layout in layouts:
         if found := _named(table, layout):
             return Choice(layout, found, weights)
-    free = [k for k in table.numeric if k != weights and not (k == 0 and _is_index(table.names))]
+    aside = {k for k, name in enumerate(table.names) if plain(name) in SWITCHES} | {weights}
+    free = [k for k in table.numeric if k not in aside and not (k == 0 and _is_index(table.names))]
     for layout in layouts:
         n = len(layout.columns)
         fits = n == len(free) or (first and n < len(free))
