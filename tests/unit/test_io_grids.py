@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from mexpress.io.clouds import read_cloud
 from mexpress.io.grids import is_grid, read_grid
+from mexpress.io.matches import read_matches, read_points
 
 CELLS = "1.5 -9999 3\n4 5e2 -6\n"
 HEADER = "ncols 3\nnrows 2\nxllcorner 500000.5\nyllcorner 5300000\ncellsize 30\n"
+GRID = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 30\nNODATA_value -9999\n1.5 2 3\n4 5 6\n"
 
 
 @pytest.mark.parametrize(
@@ -53,3 +56,20 @@ def test_points_are_no_grid(content):
 def test_what_is_refused(text, says):
     with pytest.raises(ValueError, match=says):
         read_grid(text.encode())
+
+
+@pytest.mark.parametrize("comment", ["", "# from a survey\n# of 1998\n"])
+@pytest.mark.parametrize("read", [read_cloud, read_matches, read_points])
+@pytest.mark.parametrize("name", ["dem.txt", "dem.grd", "dem"])
+def test_a_grid_under_another_ending_is_named(tmp_path, comment, read, name):
+    (tmp_path / name).write_text(comment + GRID)
+    says = rf"a grid with ncols .* in an \.asc file\. Given {name}, such a grid\.$"
+    with pytest.raises(ValueError, match=rf"^Invalid (cloud|matches|points)\. .*{says}"):
+        read(tmp_path / name)
+
+
+@pytest.mark.parametrize("comment", ["", "# from a survey\n# of 1998\n"])
+def test_comments_above_a_grid(tmp_path, comment):
+    (tmp_path / "dem.asc").write_text(comment + GRID)
+    cloud = read_cloud(tmp_path / "dem.asc")
+    assert (cloud.values.tolist(), cloud.image_size) == ([1.5, 2, 3, 4, 5, 6], (3, 2))

@@ -1,6 +1,8 @@
 import numpy as np
+import pandas as pd
 import pytest
 
+from mexpress.io.clouds import read_cloud
 from mexpress.io.matches import read_matches, read_points, read_weighted_matches
 
 QGIS = """#CRS: PROJCRS["WGS 84 / UTM zone 33N"]
@@ -92,3 +94,49 @@ def test_bigwarp_in_space(tmp_path):
     (tmp_path / "landmarks.csv").write_text('"Pt-0","true","1","2","3","4","5","6"\n')
     with pytest.raises(ValueError, match=r"BigWarp must have two dimensions\. Given three in landmarks\.csv"):
         read_matches(tmp_path / "landmarks.csv")
+
+
+@pytest.mark.parametrize("switch", ["enable", "Enabled", "active"])
+@pytest.mark.parametrize(("on", "off"), [("1", "0"), ("true", "FALSE"), ("yes", "no"), ("1.0", "0.0")])
+def test_rows_of_any_table_that_are_not_in_use(tmp_path, switch, on, off):
+    rows = "".join(f"{k},{k}.5,1,2,{off if k == 1 else on}\n" for k in range(6))
+    (tmp_path / "m.csv").write_text(f"x1,y1,x2,y2,{switch}\n{rows}")
+    source, _, _, known = read_weighted_matches(tmp_path / "m.csv")
+    assert (source[:, 0].tolist(), known.nonzero()[0].tolist()) == ([0, 2, 3, 4, 5], [0, 2, 3, 4, 5])
+    np.testing.assert_array_equal(read_points(tmp_path / "m.csv", columns=["x1", "y1"]), source)
+    np.testing.assert_array_equal(
+        read_matches(pd.read_csv(tmp_path / "m.csv", true_values=["yes"], false_values=["no"]))[0], source
+    )
+    (tmp_path / "c.csv").write_text(
+        f"{switch},x,y,z\n" + "".join(f"{off if k == 1 else on},{k},1,{k}\n" for k in range(6))
+    )
+    cloud = read_cloud(tmp_path / "c.csv")
+    assert (cloud.values.tolist(), cloud.n_missing) == ([0, 2, 3, 4, 5], 1)
+
+
+@pytest.mark.parametrize("header", ["a,b,c,d,enabled", "enabled,a,b,c,d", "a,b,active,c,d"])
+@pytest.mark.parametrize(("on", "off"), [("1", "0"), ("true", "false")])
+def test_a_switch_is_none_of_the_columns_without_known_names(tmp_path, header, on, off):
+    at = [len(name) > 1 for name in header.split(",")].index(True)
+    rows = [[*"1234"], [*"5678"]]
+    for row, switch in zip(rows, (on, off), strict=True):
+        row.insert(at, switch)
+    (tmp_path / "m.csv").write_text("".join(",".join(row) + "\n" for row in [[header], *rows]))
+    np.testing.assert_array_equal(np.hstack(read_matches(tmp_path / "m.csv")), [[1, 2, 3, 4]])
+
+
+def test_bigwarp_below_a_header(tmp_path):
+    header = "name,active,moving x,moving y,fixed x,fixed y\n"
+    (tmp_path / "landmarks.csv").write_text(header + BIGWARP)
+    moving, fixed, _, known = read_weighted_matches(tmp_path / "landmarks.csv")
+    np.testing.assert_array_equal(moving, [[10.5, 20.25], [30, 40]])
+    np.testing.assert_array_equal(fixed, [[110.5, 120.25], [130, 140]])
+    assert known.nonzero()[0].tolist() == [0, 2]
+
+
+def test_a_switch_that_is_neither_on_nor_off(tmp_path):
+    (tmp_path / "m.csv").write_text("x1,y1,x2,y2,enabled\n1,2,3,4,1\n5,6,7,8,perhaps\n")
+    with pytest.raises(
+        ValueError, match=r"^Invalid matches\. .*0 or 1.* Given 'perhaps' in line 3 of m\.csv"
+    ):
+        read_matches(tmp_path / "m.csv")

@@ -150,7 +150,14 @@ def test_plain_arrays(tmp_path):
         ("1,2,3,4\n1,2,1e999,4\n", "'1e999' in line 2"),
         ("1;2,5;3;4\n1;2.5;3;4\n", "decimal comma that others have. Given '2.5' in line 2"),
         ("1;2;3;4\n1.000,5;2;3;4\n", "'1.000,5' in line 2"),
-        ("1 2 3 4\n1 2 3 4 left\n", "4 columns, as the first has. Given 5 in line 2"),
+        ("1 2 3 4\n1 2 3 4 5 left\n", "4 columns, as the first has. Given 6 in line 2"),
+        ("1 2 3 4\n1 2 3 left\n", "numbers. Given 'left' in line 2"),
+        ("1 2 3 4\n1 2 3 left wall\n", "numbers. Given 'left' in line 2"),
+        ("1,2,3,4\n1,2,3,4,-\n", "4 columns, as the first has. Given 5 in line 2"),
+        (
+            "name,x1,y1,x2,y2\nDoe,1,2,3,4\nDoe, J.,5,6,7,8\n",
+            "5 columns, as the first has. Given 6 in line 3",
+        ),
         ("x1,y1,x2,y2,s\n1,2,3,4\n", "5 columns, as the first has. Given 4 in line 2"),
         (
             "x1,y1,x2,y2\n1,2,3,4\n1,2,,4\n",

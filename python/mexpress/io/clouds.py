@@ -24,6 +24,7 @@ from mexpress.io.archives import ARCHIVES, read_data
 from mexpress.io.depth import DepthMap, depth_of_array, depth_of_raster
 from mexpress.io.grids import is_grid
 from mexpress.io.images import read_raster
+from mexpress.io.landmarks import out_of_use
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.missing import Missing
 from mexpress.io.obj import read_obj_vertices
@@ -326,7 +327,7 @@ def _without_columns(source: Source, told: _Told) -> Path:
 def _from_table(table: Table, told: _Told, *, first: bool = False, more: str = "") -> tuple[_Points, Any]:
     weight = WEIGHT_COLUMN if told.weights is None else told.weights
     choice = choose(table, [UVXYZ, XYZ], told.columns, weight, first=first, more=more)
-    numbers, _ = complete(table, choice.all, Missing(told.missing.values, keep=True))
+    numbers, _ = complete(table, choice.all, Missing(told.missing.values, keep=True), out_of_use(table))
     d = len(choice.columns)
     points = _Points(numbers[:, :2], numbers[:, 2] if d == 3 else numbers[:, 2:d])
     return points, None if choice.weight is None else numbers[:, d]

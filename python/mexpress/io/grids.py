@@ -29,15 +29,19 @@ _UNSAID = -9999.0
 """What means no data where a header does not say it."""
 
 
+_BEGINNING = rb"(\xef\xbb\xbf)?(\s*#[^\r\n]*[\r\n])*"
+"""What may stand before a header: a byte-order mark, and comments."""
+
+
 def is_grid(content: bytes) -> bool:
-    """Tell whether a file begins as a grid does: the ending is that of points in text, too.
+    """Tell whether a file begins as a grid does, but for comments: the ending is that of points in text, too.
 
     Examples
     --------
     >>> is_grid(b"ncols 4"), is_grid(b"1.0 2.0 3.0")
     (True, False)
     """
-    return re.match(rb"(\xef\xbb\xbf)?\s*n(cols|rows)\s", content[:100], re.IGNORECASE) is not None
+    return re.match(_BEGINNING + rb"\s*n(cols|rows)\s+[0-9]", content, re.IGNORECASE) is not None
 
 
 def read_grid(content: bytes) -> Raster:
@@ -65,7 +69,7 @@ def read_grid(content: bytes) -> Raster:
         ...
     ValueError: it has 3 numbers, not 3 x 2
     """
-    words = content.removeprefix(b"\xef\xbb\xbf").split()
+    words = re.sub(rb"\A" + _BEGINNING, b"", content).split()
     header, at = dict[str, float](), 0
     while at + 1 < len(words) and (name := words[at].decode("latin-1").lower()) in _NAMES:
         header[name] = float(as_numbers(words[at + 1 : at + 2])[0])

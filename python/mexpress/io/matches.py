@@ -22,7 +22,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.io.archives import read_data
 from mexpress.io.keypoints import index_pairs
-from mexpress.io.landmarks import landmarks
+from mexpress.io.landmarks import landmarks, out_of_use
 from mexpress.io.missing import Missing
 from mexpress.io.placeholders import note_placeholders
 from mexpress.io.sources import Source, expect_source, is_frame, read_table, where
@@ -65,7 +65,8 @@ def read_matches(
         * A frame of pandas or polars.
         * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
           y that is negative below their upper edge; its sign is changed, so that the source has y downwards. Images
-          with coordinates need `columns`.
+          with coordinates need `columns`. Rows of any table whose column `enable`, `enabled` or `active` is 0 or false
+          are left out.
 
         A header finds the columns in any order and among others, by these names or by those such as src_x, sourceX,
         x_left, u0, moving_x. Columns of no known name must be four.
@@ -153,15 +154,15 @@ def _read(
     expect_source(path, "matches")
     table, weight = _match_table(path, column)
     told = Missing.of(missing)
-    marked = landmarks(table)
+    marked, off = landmarks(table), out_of_use(table)
     if marked and columns is None:
         shares = find(table, weight)
         chosen = marked.columns if shares is None else [*marked.columns, shares]
-        numbers, known = complete(table, chosen, told, marked.off)
+        numbers, known = complete(table, chosen, told, off)
         numbers = marked.in_image(numbers, table)
     else:
         chosen = choose(table, [MATCHES], columns, weight).all
-        numbers, known = complete(table, chosen, told, marked.off if marked else None)
+        numbers, known = complete(table, chosen, told, off)
     weights = numbers[:, 4].copy() if numbers.shape[1] > 4 else None
     named_weights(weights, column, table.where)
     counted = np.isfinite(numbers).all(axis=1) & (True if weights is None else weights != 0)
@@ -282,9 +283,8 @@ def read_points(path: Source, *, columns: Sequence[str | int] | None = None, mis
         file = Path(path)
         rule = f"{file.name} must hold one (n, 2) array (among several: points)."
         table = _the_array(read_data(file, "points"), ("points",), file, rule)
-    marked = landmarks(table)
     chosen = choose(table, [POINTS], columns).columns
-    points = complete(table, chosen, Missing.of(missing), marked.off if marked else None)[0]
+    points = complete(table, chosen, Missing.of(missing), out_of_use(table))[0]
     for note in note_placeholders(points[np.isfinite(points).all(axis=1)], where(path)):
         warnings.warn(note, stacklevel=2)
     return points

@@ -24,8 +24,15 @@ from mexpress.io.missing import Missing
 _AXES = (
     ("x", "y"),
     ("u", "v"),
+    ("xx", "yy"),
     ("easting", "northing"),
+    ("east", "north"),
+    ("e", "n"),
+    ("ost", "nord"),
+    ("rechts", "hoch"),
+    ("rechtswert", "hochwert"),
     ("longitude", "latitude"),
+    ("long", "lat"),
     ("lon", "lat"),
     ("lng", "lat"),
     ("column", "row"),
@@ -35,7 +42,7 @@ _AXES = (
 )
 _EITHER = (("i", "j"), ("j", "i"))
 """Axes of which some take the first for x, and some for y."""
-_COUNTED = re.compile(r"[cr]\d*|(col|column|row|line|sample)\d+")
+_COUNTED = re.compile(r"[cren]\d*|(col|column|row|line|sample)\d+")
 """Names that say something of their axis only beside those of the other one: columns may be counted so."""
 _HEIGHTS = ("z", "depth", "height", "elevation", "elev", "altitude", "value")
 _SIDES = (
@@ -58,9 +65,14 @@ _SIDES = (
     ("old", "new"),
     ("pre", "post"),
 )
+_LETTERS = ("s", "t"), ("s", "d"), ("m", "f"), ("q", "t"), ("l", "r")
+"""Sides that are so called only where all four columns are: columns sx, sy are deviations as well."""
+SWITCHES = {"enable", "enabled", "active"}
+"""Names of the column that says which rows are in use."""
 _NO_COORDINATES = {
+    *SWITCHES,
     *("id", "index", "idx", "no", "nr", "number", "point", "pointid", "name", "label", "time", "timestamp"),
-    *("weight", "weights", "score", "confidence", "sigma", "error", "enable", "active"),
+    *("weight", "weights", "score", "confidence", "sigma", "error"),
 }
 
 
@@ -76,20 +88,36 @@ def _beside(side: str, axis: str) -> tuple[str, str]:
     return axis + side, side + axis
 
 
+_PAIRED = [
+    names
+    for sides in _SIDES
+    for axes in _AXES
+    for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
+]
 MATCHES = Layout(
     ("x1", "y1", "x2", "y2"),
     [
-        names
-        for sides in _SIDES
-        for axes in _AXES
-        for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
+        *_PAIRED,
+        *(names for a, b in _LETTERS for names in zip(*map(_beside, (a, a, b, b), "xyxy"), strict=True)),
     ],
 )
-POINTS = Layout(
-    ("x", "y"), [*_AXES, *sorted({pair for names in MATCHES.spellings for pair in (names[:2], names[2:])})]
-)
+POINTS = Layout(("x", "y"), [*_AXES, *sorted({pair for names in _PAIRED for pair in (names[:2], names[2:])})])
 XYZ = Layout(("x", "y", "z"), [(*axes, height) for axes in _AXES for height in _HEIGHTS])
 UVXYZ = Layout(("u", "v", "x", "y", "z"), [("u", "v", "x", "y", "z")], nameless=False)
+
+
+_KNOWN = _NO_COORDINATES.union(*(names for one in (MATCHES, POINTS, XYZ, UVXYZ) for names in one.spellings))
+
+
+def count_known(names: Sequence[str]) -> int:
+    """Count the names that say what is in a column.
+
+    Examples
+    --------
+    >>> count_known(["Source_X [px]", "colour"])
+    1
+    """
+    return sum(plain(name) in _KNOWN for name in names)
 
 
 class Table(Protocol):
@@ -189,7 +217,8 @@ def choose(
     for layout in layouts:
         if found := _named(table, layout):
             return Choice(layout, found, weights)
-    free = [k for k in table.numeric if k != weights and not (k == 0 and _is_index(table.names))]
+    aside = {k for k, name in enumerate(table.names) if plain(name) in SWITCHES} | {weights}
+    free = [k for k in table.numeric if k not in aside and not (k == 0 and _is_index(table.names))]
     for layout in layouts:
         n = len(layout.columns)
         fits = n == len(free) or (first and n < len(free))
@@ -260,7 +289,7 @@ def _is_swapped(name: str, other: str, pairs: Sequence[tuple[str, str]]) -> bool
     (True, False)
     """
     return any(
-        name[: at.start()] + first + name[at.end() :] == other
+        other in (name[: at.start()] + first + name[at.end() :], name.replace(second, first))
         for first, second in pairs
         for at in re.finditer(second, name)
     )

@@ -31,16 +31,30 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.io.endings import readable
-from mexpress.io.tables import between_labels
+from mexpress.io.grids import is_grid
+from mexpress.io.tables import between_labels, count_known
 
 _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE)
-_NOTHING = {"", "na", "n/a", "<na>", "null", "none"}
-_COMMENTS = ("#", "%", "//")
+_THOUSANDS, _BELOW = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}"), re.compile(r"[+-]?[1-9][0-9]{0,2}")
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_ERROR = r"#(N/A|NV|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)"
+"""What spreadsheets write where there is no number."""
+_NOTHING = re.compile(
+    rf"(na|n/a|#na|<na>|null|none|--?|{_ERROR}|[+-]?nan\(\w*\)|[+-]?1[.,]#\w*)?",  # the last ones in C on Windows
+    re.IGNORECASE,
+)
+_HASH = rf"""(?!{_ERROR}(\s*[,;\t"]|\s+[-+.\d#]|\s*$))#"""
+_COMMENT = re.compile(rf"{_HASH}|%|//", re.IGNORECASE)
+_AFTER_CELLS = re.compile(rf"""^((?:[^"]|"[^"]*")*?)\s{_HASH}.*""", re.IGNORECASE)  # not in quotes
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+_UNCLEAR_COUNT = (
+    "Its first line must be clear: 0, 1, ... may be names, as pandas writes for columns without, or a row; "
+    "write names such as x,y in its place, or above it."
+)
 STANDARD_INPUT = "-"
 """Name of the file that is read from there."""
 
@@ -85,10 +99,23 @@ class TextTable:
         names = self.names or [""] * self.width
         if not self.lines:
             return range(0)
-        cells = zip(self.first, names, strict=False)
+        cells = zip(self._examples, names, strict=False)
         return between_labels(
             [not (_is_number(cell) or (_is_nothing(cell) and (cell or name))) for cell, name in cells]
         )
+
+    @property
+    def _examples(self) -> list[str]:
+        """The first cell of each column that holds something, or that of the first row: "-" may be among words."""
+        examples = self.first
+        for _, line in self.lines[1:]:
+            absent = [k for k, cell in enumerate(examples) if _is_nothing(cell)]
+            if not absent:
+                break
+            cells = _split(line, self.separator)
+            for k in absent:
+                examples[k] = cells[k] if k < len(cells) and not _is_nothing(cells[k]) else examples[k]
+        return examples
 
     def words(self, column: int) -> list[str]:
         """Return a column as it is written."""
@@ -106,6 +133,8 @@ class TextTable:
             [cells[k] for k in columns] for cells in (self._cells(*line, max(columns)) for line in self.lines)
         ]
         comma = any(_has_comma(cell) for row in rows for cell in row)
+        if comma:
+            self._refuse_thousands(rows)
         plain = ["\t".join("nan" if _is_nothing(cell) else cell for cell in row) for row in rows]
         if comma and not any("." in line for line in plain):
             plain = [line.replace(",", ".") for line in plain]
@@ -129,6 +158,25 @@ class TextTable:
         more = self.width - 1
         return all(line.count(self.separator) == more and '"' not in line for line in lines)
 
+    def _refuse_thousands(self, rows: Sequence[Sequence[str]]) -> None:
+        """Refuse commas that may be between thousands as well as decimal ones.
+
+        Three digits follow every one. Where commas also separate the cells, decimal commas are not usual. Elsewhere
+        there must be a whole number below 1000 in the same column: among decimals it would have some, too.
+        """
+        marked = [(k, row) for k, row in enumerate(rows) if any(_has_comma(cell) for cell in row)]
+        if any(_has_comma(cell) and not _THOUSANDS.fullmatch(cell) for _, row in marked for cell in row):
+            return
+        columns = zip(*rows, strict=True)
+        mixed = any(any(map(_has_comma, cells)) and any(map(_BELOW.fullmatch, cells)) for cells in columns)
+        if self.separator != "," and not mixed:
+            return
+        k, row = marked[0]
+        cell = next(filter(_has_comma, row))
+        rule = "Commas in numbers must be clear: write thousands without a mark, or decimals with a point."
+        reading = f"which may be {cell.replace(',', '')} or {cell.replace(',', '.')}"
+        check.refuse(self.name, rule, f"{cell!r} in {self._line(self.lines[k][0])}, {reading}")
+
     def _one_by_one(self, rows: Sequence[Sequence[str]], mark: str) -> Floats:
         return np.array(
             [
@@ -149,11 +197,13 @@ class TextTable:
         check.refuse(self.name, rule, f"{cell!r} in {self._line(number)}")
 
     def _cells(self, number: int, line: str, last: int) -> list[str]:
-        """Cut a line, which has as many cells as all, but for words of a label behind the last column wanted."""
+        """Cut a line, which has as many cells as all, but for words of a label behind the numbers."""
         cells = _split(line, self.separator)
         fewest = self.width if self.names else max(self.numeric.stop, last + 1)
         labelled = self.separator is None and len(cells) >= fewest and self.numeric.stop < self.width
-        if len(cells) != self.width and not labelled:
+        only_numbers = len(cells) > self.width == self.numeric.stop
+        commented = only_numbers and not (_is_number(cells[self.width]) or _is_nothing(cells[self.width]))
+        if len(cells) != self.width and not (labelled or commented):
             rule = f"A line must have {self.width} columns, as the first has."
             check.refuse(self.name, rule, f"{len(cells)} in {self._line(number)}")
         return cells
@@ -196,7 +246,12 @@ def read_text(path: Path, name: str) -> TextTable:
     """
     where = "standard input" if str(path) == STANDARD_INPUT else path.name
     content = sys.stdin.buffer.read() if str(path) == STANDARD_INPUT else path.read_bytes()
-    lines, comment = _lines(_decoded(content, name, where))
+    if is_grid(content):
+        rule = (
+            "It must be a table; a grid with ncols and nrows, as ESRI's, is for read_cloud, in an .asc file."
+        )
+        check.refuse(name, rule, f"{where}, such a grid")
+    lines, comments = _lines(_decoded(content, name, where))
     if not lines:
         check.refuse(name, "The file must have at least one line of numbers.", f"{where}, which has none")
     separator = _separator(lines[0][1])
@@ -205,15 +260,14 @@ def read_text(path: Path, name: str) -> TextTable:
     ):  # Excel
         separator, lines = told[1] or "\t", lines[1:]
     rows = [_split(line, separator) for _, line in lines[:2]]
-    names: list[str] = []
-    if _is_header(rows):
+    names = _named_in(comments, rows[0])
+    counted = _counts(rows[0]) and len(lines) > 1 and not count_known(names)
+    if counted and (whole := _first_whole(lines[1:], separator)):
+        check.refuse(name, _UNCLEAR_COUNT, f"{lines[0][1]!r} above {whole!r} in {where}")
+    if counted or _is_header(rows[0]):
         names, lines, rows = rows[0], lines[1:], rows[1:]
         if rows and len(rows[0]) == len(names) + 1:  # R has no name for those of the rows
             names = ["", *names]
-    elif comment:
-        cells = _split(comment, _separator(comment))
-        if len(cells) == len(rows[0]) and _is_header([cells]):
-            names = cells
     return TextTable(where, name, names, lines, separator)
 
 
@@ -228,21 +282,34 @@ def _decoded(content: bytes, name: str, where: str) -> str:
     check.refuse(name, f"{readable(name)} {rule}", f"{where}, which is not")
 
 
-def _lines(text: str) -> tuple[list[tuple[int, str]], str]:
-    """Return the lines that hold something, with their numbers, and the last comment before them."""
+def _named_in(comments: Sequence[str], row: Sequence[str]) -> list[str]:
+    """Return the names of a row's columns that a comment has: the most that are known, else those of the last one."""
+    headers: list[list[str]] = [[]]
+    for comment in comments:
+        for text in (comment, comment.partition(":")[2]):  # columns: x y
+            cells = _split(text, _separator(text))
+            known = count_known(cells)
+            labelled = known == len(cells) < len(row) and not _is_number(row[len(cells)])
+            if (len(cells) == len(row) or labelled) and _is_header(cells):
+                headers.append(cells)
+    return max(reversed(headers), key=count_known)
+
+
+def _lines(text: str) -> tuple[list[tuple[int, str]], list[str]]:
+    """Return the lines that hold something, with their numbers, and the comments before them."""
     lines: list[tuple[int, str]] = []
-    comment = ""
+    comments: list[str] = []
     for number, raw in enumerate(io.StringIO(text, newline=None), start=1):
         line = raw.strip()
         if line and "\t" in raw:  # which may stand for empty cells at the ends
             line = raw.strip("\n ")
         if "#" in line:
-            line = re.sub(r"\s#.*", "", line)
-        if line.startswith(_COMMENTS):
-            comment = comment if lines else line.lstrip("#%/ \t")
+            line = _AFTER_CELLS.sub(r"\1", line)
+        if _COMMENT.match(line):
+            comments += [] if lines else [line.lstrip("#%/ \t")]
         elif line:
             lines.append((number, line))
-    return lines, comment
+    return lines, comments
 
 
 def _separator(line: str) -> str | None:
@@ -257,15 +324,21 @@ def _split(line: str, separator: str | None) -> list[str]:
     return [cell.strip().strip("\"'") for cell in cells]
 
 
-def _is_header(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first of two rows is names: none is a number, or they are the numbers that pandas counts by."""
-    first = rows[0]
-    if not any(map(_is_number, first)):
-        return not all(map(_is_nothing, first))
-    count = [str(k) for k in range(len(first))]
-    if first == ["", *count[:-1]]:
-        return True
-    return len(first) > 1 and first == count and len(rows) > 1 and not any(map(str.isdecimal, rows[1]))
+def _is_header(cells: Sequence[str]) -> bool:
+    """Whether cells are names: none is a number, or they are the numbers that pandas counts by beside row names."""
+    if not any(map(_is_number, cells)):
+        return not all(map(_is_nothing, cells))
+    return cells[0] == "" and _counts(cells[1:])
+
+
+def _counts(cells: Sequence[str]) -> bool:
+    """Whether cells are 0, 1, ..., as pandas calls columns that have no names."""
+    return list(cells) == [str(k) for k in range(len(cells))] and len(cells) > 1
+
+
+def _first_whole(lines: Sequence[tuple[int, str]], separator: str | None) -> str:
+    """Return the first line with a whole number, or "": where there is none, whole numbers are names."""
+    return next((line for _, line in lines if any(map(_WHOLE.fullmatch, _split(line, separator)))), "")
 
 
 def _is_number(cell: str) -> bool:
@@ -277,4 +350,4 @@ def _has_comma(cell: str) -> bool:
 
 
 def _is_nothing(cell: str) -> bool:
-    return cell.lower() in _NOTHING
+    return bool(_NOTHING.fullmatch(cell))
