@@ -87,10 +87,8 @@ def _run(arguments: argparse.Namespace) -> None:
         if arguments.inverse:
             raise common.UsageError("--inverse belongs to a warp: a surface has no inverse")
         table = model(points)
-        if table.shape[1:] in (
-            (),
-            (1,),
-        ):  # a depth with its position is a point in space, which can be read again
+        # A depth with its position is a point in space, which can be read again.
+        if table.shape[1:] in ((), (1,)):
             table = np.column_stack([np.where(known[:, None], points, np.nan), table])
         _write(table, _error(model, points), arguments.out)
         _warn_of_gaps(model, points)

@@ -217,10 +217,10 @@ class Candidates(Generic[ModelT]):
 def _costs(n: int, lifting: Lifting, weights: int) -> list[float]:
     """Return about how many multiply-adds each weight of a design takes: any takes some; then fit and held-out sets.
 
-    The first of several comes with the basis of all of them, which takes about as long as they do together.
+    The first comes with the basis of all of them, which takes about as long as they do together.
     """
     one = 1e7 + n * len(lifting.control_points) ** 2 * (10 + n / 20)
-    return [one * (1 + weights), *[one] * (weights - 1)] if weights > 1 else [one]
+    return [one * (1 + weights), *[one] * (weights - 1)]
 
 
 def checked_counts(counts: ArrayLike | None, n: int, name: str) -> Integers | None:
