@@ -107,7 +107,7 @@ def peer(
 ) -> Runner:
     """An adapter in the faster of its ways to use threads; `make` takes the number of workers."""
     held, validated = list(scheme.held_out), list(scheme.validated)
-    settings = {"blas": (1, threads), "pairs": (threads, 1)}
+    settings = {"blas": (1, threads), "pairs": (min(threads, len(held)), 1)}
     runners = [
         Runner(
             name,

@@ -28,7 +28,10 @@
 //!
 //! | room | idea |
 //! |---|---|
-//! | [`fit::factor`] | blocked Householder QR: basis, rank, coefficients, residuals, leverage |
+//! | [`fit::factor`] | one fit: basis, rank, coefficients, residuals, leverage |
+//! | `fit::cholesky_qr`, `fit::panels` | the basis of a well-conditioned design, by products of matrices |
+//! | `fit::householder` | the basis of any design, by blocked reflections |
+//! | `fit::rank` | rank, and coefficients from the triangle |
 //! | [`fit::linalg`] | dense factorisations; the only file that names faer |
 //! | [`holdout::pairs`] | held-out pairs: which method, and their predictions in parallel |
 //! | `holdout::visit` | pairs that nest are solved together |

@@ -392,7 +392,11 @@ class LeastSquares:
 
     def _share_of_row(self, rows: Integers | slice) -> Floats:
         """Weight of each row: the weight of its datum divided by the number of rows of the datum."""
-        parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
+        m = len(self.leverage)
+        if self.n_data == m:
+            parts = np.ones(m)[rows]
+        else:
+            parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
         return parts if self._row_weights is None else parts * self._row_weights[rows]
 
 

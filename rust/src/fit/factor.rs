@@ -1,12 +1,12 @@
 //! The design's orthonormal basis, and what one fit tells: rank, coefficients, residuals, leverage.
 //!
-//! Tall designs are cut into blocks of rows. Each block is factored on its own, the triangles are stacked and
-//! factored once more, and the basis is multiplied out block by block: Householder reflections throughout, so
-//! badly scaled columns lose nothing, and memory is that of one basis. The blocks depend on the shape alone,
-//! never on the number of threads.
+//! The basis is that of [`crate::fit::cholesky_qr`], or of [`crate::fit::householder`] where the first would lose digits. Work is
+//! cut into blocks of rows that depend on the shape alone, never on the number of threads.
 
 use crate::error::Error;
-use crate::fit::linalg::{self, QrScratch, dot};
+use crate::fit::linalg::{self, dot};
+use crate::fit::rank::{first_deficient, numerical_rank};
+use crate::fit::{cholesky_qr, householder};
 use crate::pool::Pool;
 
 /// A weighted, penalised least-squares problem: `min ||W^1/2 (b - A x)||^2 + ||Z x||^2`. Matrices are row-major.
@@ -27,7 +27,7 @@ pub struct Problem<'a> {
 
 impl Problem<'_> {
     /// Row `i` of `[A; Z]`, and the root of its weight.
-    fn row(&self, i: usize) -> (&[f64], f64) {
+    pub(super) fn row(&self, i: usize) -> (&[f64], f64) {
         let p = self.columns;
         match i.checked_sub(self.rows) {
             None => (&self.design[i * p..(i + 1) * p], self.root_weights.map_or(1.0, |w| w[i])),
@@ -36,7 +36,7 @@ impl Problem<'_> {
     }
 
     /// Rows of `[A; Z]`.
-    fn total_rows(&self) -> usize {
+    pub(super) fn total_rows(&self) -> usize {
         self.rows + self.penalty.len() / self.columns
     }
 
@@ -49,7 +49,14 @@ impl Problem<'_> {
     fn fingerprint(&self, i: usize, responses: usize) -> u64 {
         let (row, weight) = self.row(i);
         let mix = |sum: u64, x: &f64| (sum.rotate_left(7) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        self.responses_of(i, responses).iter().chain(row).fold(weight.to_bits(), mix)
+        // Four sums side by side: one multiplication need not wait for another.
+        let (fours, rest) = row.as_chunks::<4>();
+        let mut sums = [weight.to_bits(), 1, 2, 3];
+        for four in fours {
+            sums.iter_mut().zip(four).for_each(|(sum, x)| *sum = mix(*sum, x));
+        }
+        let sum = self.responses_of(i, responses).iter().chain(rest).fold(sums[0], mix);
+        sums[1..].iter().fold(sum, |sum, other| mix(sum, &f64::from_bits(*other)))
     }
 
     fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
@@ -138,18 +145,19 @@ impl Factor {
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
         let scales = column_scales(problem, pool)?;
-        let leaves = Leaves::factor(problem, &scales, pool)?;
-        let top = Top::new(&leaves, pool)?;
-        let basis = leaves.basis(&top, pool)?;
-        let mut factor = Self::fit(problem, basis, top.rank, pool)?;
-        factor.coefficients = top.solve(&factor.projection, responses);
+        let (basis, spectrum) = match cholesky_qr::orthonormal(problem, &scales, pool)? {
+            Some(found) => found,
+            None => householder::orthonormal(problem, &scales, pool)?,
+        };
+        let mut factor = Self::fit(problem, basis, spectrum.rank, pool)?;
+        factor.coefficients = spectrum.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(problem.columns) {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
         }
-        factor.least = top.least;
-        factor.tolerance = top.tolerance;
-        factor.triangle = top.triangle;
-        factor.scales = top.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
+        factor.least = spectrum.least;
+        factor.tolerance = spectrum.tolerance;
+        factor.triangle = spectrum.triangle;
+        factor.scales = spectrum.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
         if factor.rank < factor.columns {
             factor.spanning = Some(factor.spanning_columns());
         }
@@ -205,14 +213,11 @@ impl Factor {
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         };
         factor.projection = factor.project(&factor.residuals, pool)?;
-        factor.subtract(&factor.projection.clone(), pool)?;
-        // Once more: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
-        let rest = factor.project(&factor.residuals, pool)?;
+        // Twice: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
+        let rest = factor.subtract(&factor.projection.clone(), pool)?;
         factor.subtract(&rest, pool)?;
         factor.projection.iter_mut().zip(&rest).for_each(|(c, rest)| *c += rest);
-        factor.leverage =
-            factor.basis.chunks_exact(factor.rank.max(1)).take(rows).map(|q| dot(q, q)).collect();
-        factor.leverage.resize(rows, 0.0);
+        factor.leverage = factor.squared_lengths(pool)?;
         Ok(factor)
     }
 
@@ -292,19 +297,14 @@ impl Factor {
         if size == 0 {
             return Ok(Vec::new());
         }
-        let total = self.basis.len() / rank;
-        let mut parts = vec![0.0; total.div_ceil(LEAF_ROWS) * size];
+        let mut parts = vec![0.0; right.len().div_ceil(LEAF_ROWS * responses) * size];
         let (basis, right) = (self.basis.chunks(LEAF_ROWS * rank), right.chunks(LEAF_ROWS * responses));
         pool.run(
             parts.chunks_exact_mut(size).zip(basis).zip(right),
             || (),
             |(), ((part, q), b)| linalg::transposed_product(q, b, rank, responses, part),
         )?;
-        let mut sum = vec![0.0; size];
-        for part in parts.chunks_exact(size) {
-            sum.iter_mut().zip(part).for_each(|(s, x)| *s += x);
-        }
-        Ok(sum)
+        Ok(sum_of_parts(&parts, size))
     }
 
     /// The columns that are independent of those before them, as many as the rank, increasing.
@@ -366,38 +366,64 @@ impl Factor {
         kept
     }
 
-    /// Takes `Q projection` from the residuals.
-    fn subtract(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<(), Error> {
+    /// Takes `Q projection` from the residuals, and projects what is left.
+    fn subtract(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         let (rank, responses) = (self.rank, self.responses);
-        if rank == 0 || responses == 0 {
-            return Ok(());
+        let size = rank * responses;
+        if size == 0 {
+            return Ok(Vec::new());
         }
-        let parts = self.residuals.chunks_mut(LEAF_ROWS * responses).zip(self.basis.chunks(LEAF_ROWS * rank));
+        let mut parts = vec![0.0; self.residuals.len().div_ceil(LEAF_ROWS * responses) * size];
+        let residuals = self.residuals.chunks_mut(LEAF_ROWS * responses);
         pool.run(
-            parts,
+            residuals.zip(self.basis.chunks(LEAF_ROWS * rank)).zip(parts.chunks_exact_mut(size)),
             || (),
-            |(), (residuals, basis)| {
+            |(), ((residuals, basis), part)| {
                 for (e, q) in residuals.chunks_exact_mut(responses).zip(basis.chunks_exact(rank)) {
                     for (e, c) in e.iter_mut().zip(projection.chunks_exact(rank)) {
                         *e -= dot(q, c);
                     }
                 }
+                linalg::transposed_product(basis, residuals, rank, responses, part);
             },
-        )
+        )?;
+        Ok(sum_of_parts(&parts, size))
     }
+
+    /// Squared lengths of the basis' rows that are A's.
+    fn squared_lengths(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let mut squares = vec![0.0; self.rows];
+        if self.rank > 0 {
+            let parts = squares.chunks_mut(LEAF_ROWS).zip(self.basis.chunks(LEAF_ROWS * self.rank));
+            pool.run(
+                parts,
+                || (),
+                |(), (squares, basis)| {
+                    for (square, q) in squares.iter_mut().zip(basis.chunks_exact(self.rank)) {
+                        *square = dot(q, q);
+                    }
+                },
+            )?;
+        }
+        Ok(squares)
+    }
+}
+
+/// Sums that blocks have begun, put together in order.
+fn sum_of_parts(parts: &[f64], size: usize) -> Vec<f64> {
+    let mut sum = vec![0.0; size];
+    for part in parts.chunks_exact(size) {
+        sum.iter_mut().zip(part).for_each(|(s, x)| *s += x);
+    }
+    sum
 }
 
 pub(crate) fn expect_length(given: usize, expected: usize) -> Result<(), Error> {
     if given == expected { Ok(()) } else { Err(Error::Length { expected, given }) }
 }
 
-/// Rows of a block, before `block_rows` has its say.
-const LEAF_ROWS: usize = 2000;
-
-/// A block's triangle is at most a sixteenth of it, so that the stack of triangles stays cheap.
-fn block_rows(columns: usize) -> usize {
-    LEAF_ROWS.max(16 * columns)
-}
+/// Rows of a block: what is done with it twice finds it in the cache the second time.
+const LEAF_ROWS: usize = 512;
 
 /// Powers of two that bring every column's largest entry near one: overflow is then out of the way, and not a
 /// digit changes.
@@ -412,7 +438,10 @@ fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Err
         || (),
         |(), (block, largest)| {
             for row in block.chunks_exact(columns) {
-                largest.iter_mut().zip(row).for_each(|(l, a)| *l = l.max(a.abs()));
+                for (largest, a) in largest.iter_mut().zip(row) {
+                    // One instruction for several, which `max` is not.
+                    *largest = if a.abs() > *largest { a.abs() } else { *largest };
+                }
             }
         },
     )?;
@@ -436,302 +465,4 @@ pub(crate) fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec
         }
     }
     b
-}
-
-/// Blocks of rows, each with its own QR factorisation; column-major inside a block.
-struct Leaves {
-    storage: Vec<f64>,
-    reflectors: Vec<f64>,
-    rows: usize,
-    columns: usize,
-    block: usize,
-}
-
-impl Leaves {
-    fn factor(problem: &Problem<'_>, scales: &[f64], pool: &Pool<'_>) -> Result<Self, Error> {
-        let columns = problem.columns;
-        let rows = problem.total_rows();
-        let block = block_rows(columns).min(rows);
-        let count = rows.div_ceil(block);
-        let size = linalg::reflector_size(block, columns);
-        let mut storage = vec![0.0; rows * columns];
-        let mut reflectors = vec![0.0; count * size];
-        let tasks = storage.chunks_mut(block * columns).zip(reflectors.chunks_exact_mut(size)).enumerate();
-        pool.run(
-            tasks,
-            || QrScratch::new(block, columns),
-            |scratch, (i, (a, h))| {
-                let height = a.len() / columns;
-                load(problem, scales, i * block, a, height);
-                let h = &mut h[..linalg::reflector_size(height, columns)];
-                // Once called off, nobody reads the result.
-                let _ = linalg::qr_in_place(a, height, columns, h, scratch, pool);
-            },
-        )?;
-        Ok(Self { storage, reflectors, rows, columns, block })
-    }
-
-    fn triangle_rows(&self, i: usize) -> usize {
-        self.columns.min(self.block.min(self.rows - i * self.block))
-    }
-
-    fn count(&self) -> usize {
-        self.rows.div_ceil(self.block)
-    }
-
-    /// The blocks' triangles on top of each other, column-major.
-    fn stack(&self) -> (Vec<f64>, usize) {
-        let height: usize = (0..self.count()).map(|i| self.triangle_rows(i)).sum();
-        let mut stack = vec![0.0; height * self.columns];
-        let mut above = 0;
-        for (i, block) in self.storage.chunks(self.block * self.columns).enumerate() {
-            let rows = block.len() / self.columns;
-            for j in 0..self.columns {
-                let kept = self.triangle_rows(i).min(j + 1);
-                let at = j * height + above;
-                stack[at..at + kept].copy_from_slice(&block[j * rows..j * rows + kept]);
-            }
-            above += self.triangle_rows(i);
-        }
-        (stack, height)
-    }
-
-    /// Multiplies the basis out in place, row-major, `top.rank` wide.
-    fn basis(self, top: &Top, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let Self { mut storage, reflectors, rows, columns, block } = self;
-        let rank = top.rank;
-        let size = linalg::reflector_size(block, columns);
-        let tasks = storage.chunks_mut(block * columns).zip(reflectors.chunks_exact(size)).enumerate();
-        pool.run(
-            tasks,
-            || (QrScratch::new(block, columns), vec![0.0; block * columns]),
-            |(scratch, c), (i, (a, h))| {
-                let height = a.len() / columns;
-                let c = &mut c[..height * rank];
-                let kept = columns.min(height);
-                for (target, source) in c.chunks_exact_mut(height).zip(top.basis.chunks_exact(top.height)) {
-                    let start = i * block.min(columns);
-                    target[..kept].copy_from_slice(&source[start..start + kept]);
-                    target[kept..].fill(0.0);
-                }
-                let h = &h[..linalg::reflector_size(height, columns)];
-                let _ = linalg::apply_q(a, (height, columns), h, c, scratch, pool);
-                for (k, row) in
-                    a.chunks_exact_mut(columns).enumerate().take(if rank > 0 { height } else { 0 })
-                {
-                    row.iter_mut().zip(c[k..].iter().step_by(height)).for_each(|(q, &c)| *q = c);
-                }
-            },
-        )?;
-        if rank < columns {
-            for i in 1..rows {
-                storage.copy_within(i * columns..i * columns + rank, i * rank);
-            }
-            storage.truncate(rows * rank);
-        }
-        Ok(storage)
-    }
-}
-
-/// Rows `first..` of `[W^1/2 A; Z]` with scaled columns, column-major.
-fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [f64], height: usize) {
-    for k in 0..height {
-        let (row, weight) = problem.row(first + k);
-        for ((j, a), scale) in row.iter().enumerate().zip(scales) {
-            block[j * height + k] = a * scale * weight;
-        }
-    }
-}
-
-/// The stacked triangles, factored: the small end of the factorisation, where rank is decided.
-struct Top {
-    rank: usize,
-    columns: usize,
-    /// Orthonormal columns that the leaves' reflections turn into the basis; height x rank.
-    basis: Vec<f64>,
-    height: usize,
-    scales: Vec<f64>,
-    triangle: Vec<f64>,
-    least: f64,
-    tolerance: f64,
-    inverse: Inverse,
-}
-
-/// How coefficients follow from the projected responses.
-enum Inverse {
-    /// R, columns x columns.
-    Triangle(Vec<f64>),
-    /// `D V S^-1`, columns x rank: D scales columns to unit length, S and V are singular values and right vectors.
-    Pseudo(Vec<f64>),
-}
-
-impl Top {
-    fn new(leaves: &Leaves, pool: &Pool<'_>) -> Result<Self, Error> {
-        let columns = leaves.columns;
-        let (mut stack, height) = leaves.stack();
-        let size = height.min(columns);
-        let many = leaves.count() > 1;
-        let mut reflectors = vec![0.0; linalg::reflector_size(height, columns)];
-        let mut scratch = QrScratch::new(height, columns);
-        if many {
-            linalg::qr_in_place(&mut stack, height, columns, &mut reflectors, &mut scratch, pool)?;
-        }
-        let (r, scales) = unit_triangle(&stack, height, size, columns);
-        let tolerance = leaves.rows.max(columns) as f64 * f64::EPSILON;
-        // 1 / ||R^-1|| is below the smallest singular value and sqrt(columns) above the largest, so most designs
-        // pass without a decomposition.
-        let bound = if size == columns { linalg::inverse_norm(&r, columns).recip() } else { 0.0 };
-        let full = bound > 2.0 * tolerance * (columns as f64).sqrt();
-        let (rank, turn, triangle, least, inverse) = if full {
-            (columns, None, r, bound, Inverse::Triangle(stack_triangle(&stack, height, columns)))
-        } else {
-            let Revealed { left, triangle, inverse, values } =
-                Revealed::new(r.clone(), size, columns, &scales, tolerance, pool)?;
-            let least = values.last().copied().unwrap_or(0.0);
-            // Of full rank after all: the basis stays that of leading columns, and the triangle one.
-            if values.len() == columns {
-                (columns, None, r, least, Inverse::Triangle(stack_triangle(&stack, height, columns)))
-            } else {
-                (values.len(), Some(left), triangle, least, inverse)
-            }
-        };
-        let mut basis = vec![0.0; height * rank];
-        for (j, column) in basis.chunks_exact_mut(height).enumerate() {
-            match &turn {
-                None => column[j] = 1.0,
-                Some(u) => column[..size].copy_from_slice(&u[j * size..(j + 1) * size]),
-            }
-        }
-        if many {
-            linalg::apply_q(&stack, (height, columns), &reflectors, &mut basis, &mut scratch, pool)?;
-        }
-        Ok(Self { rank, columns, basis, height, scales, triangle, least, tolerance, inverse })
-    }
-
-    /// Least-squares coefficients (columns x responses); of least norm, columns at unit length, when rank is lost.
-    fn solve(&self, projection: &[f64], responses: usize) -> Vec<f64> {
-        match &self.inverse {
-            Inverse::Triangle(r) => {
-                let mut x = projection.to_vec();
-                linalg::solve_upper(r, self.rank, self.rank, &mut x, responses);
-                x
-            }
-            Inverse::Pseudo(inverse) => {
-                linalg::product(inverse, projection, self.columns, self.rank, responses)
-            }
-        }
-    }
-}
-
-/// The R of a factored stack with its columns at unit length (size x columns), and the scales that did it.
-fn unit_triangle(stack: &[f64], height: usize, size: usize, columns: usize) -> (Vec<f64>, Vec<f64>) {
-    let mut r = vec![0.0; size * columns];
-    let mut scales = vec![1.0; columns];
-    for (j, column) in r.chunks_exact_mut(size).enumerate() {
-        let kept = size.min(j + 1);
-        column[..kept].copy_from_slice(&stack[j * height..j * height + kept]);
-        let norm = dot(column, column).sqrt();
-        if norm > 0.0 {
-            scales[j] = norm.recip();
-            column.iter_mut().for_each(|x| *x *= scales[j]);
-        }
-    }
-    (r, scales)
-}
-
-fn stack_triangle(stack: &[f64], height: usize, columns: usize) -> Vec<f64> {
-    (0..columns)
-        .flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 }))
-        .collect()
-}
-
-/// A triangle whose rank took a singular value decomposition, cut to that rank.
-struct Revealed {
-    left: Vec<f64>,
-    values: Vec<f64>,
-    /// `S V^T`.
-    triangle: Vec<f64>,
-    inverse: Inverse,
-}
-
-impl Revealed {
-    /// Decides as `numpy.linalg.matrix_rank` does.
-    fn new(
-        r: Vec<f64>,
-        size: usize,
-        columns: usize,
-        scales: &[f64],
-        tolerance: f64,
-        pool: &Pool<'_>,
-    ) -> Result<Self, Error> {
-        let linalg::Svd { u: mut left, s: mut values, v } = linalg::thin_svd(r, size, columns, pool)?;
-        let rank = numerical_rank(&values, tolerance);
-        left.truncate(size * rank);
-        values.truncate(rank);
-        let mut triangle = vec![0.0; rank * columns];
-        let mut inverse = vec![0.0; columns * rank];
-        for (i, s) in values.iter().enumerate() {
-            for (j, scale) in scales.iter().enumerate() {
-                triangle[j * rank + i] = s * v[i * columns + j];
-                inverse[i * columns + j] = scale * v[i * columns + j] / s;
-            }
-        }
-        Ok(Self { left, values, triangle, inverse: Inverse::Pseudo(inverse) })
-    }
-}
-
-/// How many leading columns of a triangle (order x order, column-major) are of full rank, singular values below a
-/// fraction of the largest counting as zero. Rank, once lost, stays so: leading blocks interlace.
-pub(crate) fn leading_rank(
-    triangle: &[f64],
-    order: usize,
-    tolerance: f64,
-    pool: &Pool<'_>,
-) -> Result<usize, Error> {
-    let column = |j: usize| &triangle[j * order..j * order + j + 1];
-    // A diagonal entry bounds the least singular value, the longest column so far the largest: most losses show like this.
-    let mut longest = 0.0_f64;
-    let vanishing = |&j: &usize| {
-        longest = longest.max(dot(column(j), column(j)).sqrt());
-        column(j)[j].abs() <= tolerance * longest
-    };
-    let all = (0..order).find(vanishing).unwrap_or(order);
-    let leading = |count: usize| {
-        let mut r = vec![0.0; count * count];
-        for (j, target) in r.chunks_exact_mut(count).enumerate() {
-            target[..=j].copy_from_slice(column(j));
-        }
-        r
-    };
-    first_deficient(all, |count| {
-        let r = leading(count);
-        // And most others pass without a decomposition, as in `Top::new`.
-        if linalg::inverse_norm(&r, count).recip() > 2.0 * tolerance * (count as f64).sqrt() {
-            return Ok(true);
-        }
-        Ok(numerical_rank(&linalg::thin_svd(r, count, count, pool)?.s, tolerance) == count)
-    })
-    .map(|first| first.map_or(all, |count| count - 1))
-}
-
-/// The smallest number of leading columns that are not of full rank, if all of them are not.
-fn first_deficient(
-    columns: usize,
-    mut full: impl FnMut(usize) -> Result<bool, Error>,
-) -> Result<Option<usize>, Error> {
-    if columns == 0 || full(columns)? {
-        return Ok(None);
-    }
-    let (mut good, mut bad) = (0, columns);
-    while bad - good > 1 {
-        let middle = usize::midpoint(good, bad);
-        if full(middle)? { good = middle } else { bad = middle }
-    }
-    Ok(Some(bad))
-}
-
-/// How many singular values, in decreasing order, stand out of the rounding of the first.
-pub(crate) fn numerical_rank(values: &[f64], tolerance: f64) -> usize {
-    let cut = values.first().map_or(0.0, |s| s * tolerance);
-    values.iter().take_while(|&&s| s > cut).count()
 }

@@ -2,8 +2,9 @@
 
 use super::dual::Dual;
 use super::{Nested, Scheme, add_squares};
-use crate::fit::factor::{self, Factor};
+use crate::fit::factor::Factor;
 use crate::fit::linalg::{self, dot};
+use crate::fit::rank::leading_rank;
 use crate::holdout::gram::Gram;
 use crate::holdout::kernel::Bordered;
 use crate::holdout::probes::{PROBES, least_eigenvalue, set_probes, sign};
@@ -324,7 +325,7 @@ impl Workspace {
             return Outcome::All;
         }
         let triangle = linalg::product(upper, &factor.triangle, rank, rank, rank);
-        match factor::leading_rank(&triangle, rank, factor.tolerance, pool) {
+        match leading_rank(&triangle, rank, factor.tolerance, pool) {
             Ok(count) if count == rank => Outcome::All,
             Ok(count) => {
                 let defined = cuts.partition_point(|&cut| cut <= count);

@@ -4,8 +4,9 @@
 //! (`reduce_leading`, `forward_solve`) the triangle serves all leading columns.
 
 use crate::error::Error;
-use crate::fit::factor::{Factor, Problem, leading_rank, numerical_rank};
+use crate::fit::factor::{Factor, Problem};
 use crate::fit::linalg::{self, QrScratch, dot};
+use crate::fit::rank::{leading_rank, numerical_rank};
 use crate::holdout::pairs::Status;
 use crate::pool::Pool;
 

@@ -1,0 +1,288 @@
+//! Blocks of rows in panels of eight, and what CholeskyQR does with them: Gram matrices, and rows solved with a triangle.
+//!
+//! A panel holds its columns one after another, eight contiguous numbers each, one a row. Every sum runs in an order of its
+//! own entry, so that no bit of leading columns depends on how many follow.
+
+use pulp::{Arch, Simd, WithSimd};
+
+/// Rows of a panel.
+pub(super) const PANEL: usize = 8;
+
+/// Rows of a block: some dozens of its columns stay in the first-level cache.
+pub(super) const BLOCK: usize = 128;
+
+/// A panel's column.
+pub(super) type Lanes = [f64; PANEL];
+
+/// Adds the lower triangle of `X^T X` to `gram` (columns x columns, column-major), for whole panels of X.
+pub(super) fn add_gram(panels: &[Lanes], columns: usize, gram: &mut [f64]) {
+    Arch::new().dispatch(AddGram { panels, columns, gram });
+}
+
+/// `X <- X L^-T` for panels of some columns, with L the leading lower triangle of a column-major matrix of `order` rows.
+pub(super) fn solve(lower: &[f64], order: usize, columns: usize, panels: &mut [Lanes]) {
+    if columns > 0 {
+        Arch::new().dispatch(Solve { lower, order, columns, panels });
+    }
+}
+
+/// The Cholesky factor of a matrix of which the lower triangle is given, with zeros above; none at a pivot that is not
+/// positive.
+pub(super) fn cholesky(mut a: Vec<f64>, order: usize) -> Option<Vec<f64>> {
+    let mut panel = vec![[0.0; PANEL]; order];
+    for first in (0..order).step_by(PANEL) {
+        let width = PANEL.min(order - first);
+        for (k, lanes) in panel[..first + width].iter_mut().enumerate() {
+            *lanes = std::array::from_fn(|lane| if lane < width { a[k * order + first + lane] } else { 0.0 });
+        }
+        let (left, own) = panel[..first + width].split_at_mut(first);
+        solve(&a, order, first, left);
+        for lanes in &*left {
+            for (column, &factor) in own.iter_mut().zip(lanes) {
+                column.iter_mut().zip(lanes).for_each(|(x, lane)| *x -= lane * factor);
+            }
+        }
+        for k in 0..width {
+            let square = own[k][k];
+            if square.is_nan() || square <= 0.0 {
+                return None;
+            }
+            let pivot = square.sqrt();
+            let column = own[k].map(|x| x / pivot);
+            own[k] = column;
+            own[k][k] = pivot;
+            for (other, factor) in own.iter_mut().zip(column).skip(k + 1) {
+                other.iter_mut().zip(column).for_each(|(x, lane)| *x -= lane * factor);
+            }
+        }
+        for (k, lanes) in panel[..first + width].iter().enumerate() {
+            let from = k.saturating_sub(first);
+            a[k * order + first + from..k * order + first + width].copy_from_slice(&lanes[from..width]);
+        }
+    }
+    for (j, column) in a.chunks_exact_mut(order.max(1)).enumerate() {
+        column[..j].fill(0.0);
+    }
+    Some(a)
+}
+
+/// Columns of a Gram matrix that stay in the cache while all others pass by.
+const GROUP: usize = 24;
+
+/// Rows and columns of entries of a Gram matrix that are summed at once.
+const TILE: usize = 3;
+
+struct AddGram<'a> {
+    panels: &'a [Lanes],
+    columns: usize,
+    gram: &'a mut [f64],
+}
+
+impl WithSimd for AddGram<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let columns = self.columns;
+        for group in (0..columns).step_by(GROUP) {
+            let end = columns.min(group + GROUP);
+            for j in (0..end).step_by(TILE) {
+                // Rows above the diagonal are nobody's; tiles start where they would without the columns that follow.
+                for i in (group..end).step_by(TILE).filter(|i| i + TILE > j) {
+                    let sums = tile(simd, self.panels, columns, i, j);
+                    for (b, sums) in sums.iter().enumerate().take(columns - j) {
+                        for (a, &sum) in sums.iter().enumerate().take(end - i) {
+                            if i + a >= j + b {
+                                self.gram[(j + b) * columns + i + a] += sum;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Inner products of the columns from `i` on with those from `j` on; columns beyond the last repeat it.
+#[inline(always)]
+fn tile<S: Simd>(simd: S, panels: &[Lanes], columns: usize, i: usize, j: usize) -> [[f64; TILE]; TILE] {
+    let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
+    let rows: [usize; TILE] = std::array::from_fn(|a| (i + a).min(columns - 1));
+    let others: [usize; TILE] = std::array::from_fn(|b| (j + b).min(columns - 1));
+    for panel in panels.chunks_exact(columns) {
+        let left = rows.map(|row| S::as_simd_f64s(&panel[row]).0);
+        let right = others.map(|other| S::as_simd_f64s(&panel[other]).0);
+        for v in 0..PANEL / S::F64_LANES {
+            for b in 0..TILE {
+                for a in 0..TILE {
+                    sums[b][a] = simd.mul_add_f64s(left[a][v], right[b][v], sums[b][a]);
+                }
+            }
+        }
+    }
+    let mut totals = [[0.0; TILE]; TILE];
+    for (totals, sums) in totals.iter_mut().zip(sums) {
+        for (total, sum) in totals.iter_mut().zip(sums) {
+            *total = simd.reduce_sum_f64s(sum);
+        }
+    }
+    totals
+}
+
+struct Solve<'a> {
+    lower: &'a [f64],
+    order: usize,
+    columns: usize,
+    panels: &'a mut [Lanes],
+}
+
+impl WithSimd for Solve<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // Columns at once, as many as the registers hold sums of.
+        match S::F64_LANES {
+            8 => self.run::<S, 1, 8>(simd),
+            4 => self.run::<S, 2, 4>(simd),
+            2 => self.run::<S, 4, 2>(simd),
+            _ => self.run::<S, 8, 1>(simd),
+        }
+    }
+}
+
+impl Solve<'_> {
+    /// `V` vectors make a panel's column.
+    #[inline(always)]
+    fn run<S: Simd, const V: usize, const C: usize>(self, simd: S) {
+        for panel in self.panels.chunks_exact_mut(self.columns) {
+            for first in (0..self.columns).step_by(C) {
+                let mut sums = [[simd.splat_f64s(0.0); V]; C];
+                let rows = self.lower[first..].chunks(self.order);
+                let (known, rest) = panel.split_at_mut(first);
+                for (lanes, factors) in known.iter().zip(rows) {
+                    add::<S, V, C>(simd, &mut sums, vectors::<S, V>(lanes), leading(factors));
+                }
+                for (c, target) in rest.iter_mut().enumerate().take(C) {
+                    let factors = leading::<C>(&self.lower[(first + c) * self.order + first..]);
+                    let pivot = simd.splat_f64s(factors[c]);
+                    let mut solved = vectors::<S, V>(target);
+                    for v in 0..V {
+                        solved[v] = simd.div_f64s(simd.sub_f64s(solved[v], sums[c][v]), pivot);
+                    }
+                    S::as_mut_simd_f64s(target).0.copy_from_slice(&solved);
+                    add::<S, V, C>(simd, &mut sums, solved, factors);
+                }
+            }
+        }
+    }
+}
+
+/// The first numbers; at the triangle's end, where there are fewer, the last goes into sums that nobody reads.
+#[inline(always)]
+fn leading<const C: usize>(row: &[f64]) -> [f64; C] {
+    match row.first_chunk() {
+        Some(numbers) => *numbers,
+        None => std::array::from_fn(|c| row[c.min(row.len() - 1)]),
+    }
+}
+
+/// Adds the products of a panel's column with factors to a sum each.
+#[inline(always)]
+fn add<S: Simd, const V: usize, const C: usize>(
+    simd: S,
+    sums: &mut [[S::f64s; V]; C],
+    x: [S::f64s; V],
+    factors: [f64; C],
+) {
+    for c in 0..C {
+        let factor = simd.splat_f64s(factors[c]);
+        for v in 0..V {
+            sums[c][v] = simd.mul_add_f64s(x[v], factor, sums[c][v]);
+        }
+    }
+}
+
+#[inline(always)]
+fn vectors<S: Simd, const V: usize>(lanes: &Lanes) -> [S::f64s; V] {
+    let (vectors, _) = S::as_simd_f64s(lanes);
+    std::array::from_fn(|v| vectors[v])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(count: usize) -> Vec<f64> {
+        (0..count).map(|i| ((i * 7919 + i * i % 977) % 1000) as f64 / 500.0 - 1.0).collect()
+    }
+
+    /// A matrix of whole panels, row by row.
+    fn panels(rows: &[f64], columns: usize) -> Vec<Lanes> {
+        let entry = |row: usize, j: usize| rows[row * columns + j];
+        let count = rows.len() / columns;
+        (0..count / PANEL * columns)
+            .map(|k| std::array::from_fn(|lane| entry(k / columns * PANEL + lane, k % columns)))
+            .collect()
+    }
+
+    fn gram(rows: &[f64], columns: usize) -> Vec<f64> {
+        let mut gram = vec![0.0; columns * columns];
+        add_gram(&panels(rows, columns), columns, &mut gram);
+        gram
+    }
+
+    #[test]
+    fn a_gram_matrix_has_inner_products_below_its_diagonal() {
+        for columns in [1, 2, 3, 4, 23, 25, 50] {
+            let rows = noise(16 * columns);
+            let found = gram(&rows, columns);
+            for (k, x) in found.iter().enumerate() {
+                let (i, j) = (k % columns, k / columns);
+                let exact: f64 = rows.chunks(columns).map(|row| row[i] * row[j]).sum();
+                assert!(if i < j { *x == 0.0 } else { (x - exact).abs() < 1e-13 }, "{i} {j} of {columns}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_cholesky_factor_times_its_transpose_is_the_matrix() {
+        for order in [1, 2, 7, 8, 9, 16, 30] {
+            let mut a = gram(&noise(64 * order), order);
+            (0..order).for_each(|j| a[j * order + j] += 1.0);
+            let lower = cholesky(a.clone(), order).unwrap();
+            for j in 0..order {
+                for i in 0..order {
+                    let sum: f64 = (0..=i.min(j)).map(|k| lower[k * order + i] * lower[k * order + j]).sum();
+                    assert!(i < j || (sum - a[j * order + i]).abs() < 1e-12, "{i} {j} of {order}");
+                    assert!(i >= j || lower[j * order + i] == 0.0);
+                }
+            }
+        }
+        assert_eq!(cholesky(vec![4.0, 2.0, 0.0, 1.0], 2), None);
+        assert_eq!(cholesky(vec![f64::NAN], 1), None);
+    }
+
+    #[test]
+    fn solved_rows_times_the_triangle_are_the_rows() {
+        for columns in [1, 3, 4, 5, 8, 13] {
+            // Of a larger triangle, the leading one.
+            let order = columns + 2;
+            let lower: Vec<f64> = noise(order * order)
+                .iter()
+                .enumerate()
+                .map(|(k, x)| if k % (order + 1) == 0 { 3.0 } else { *x })
+                .collect();
+            let rows = noise(24 * columns);
+            let mut x = panels(&rows, columns);
+            solve(&lower, order, columns, &mut x);
+            for (row, right) in rows.chunks(columns).enumerate() {
+                let x = |k: usize| x[row / PANEL * columns + k][row % PANEL];
+                for (j, right) in right.iter().enumerate() {
+                    let product: f64 = (0..=j).map(|k| x(k) * lower[k * order + j]).sum();
+                    assert!((product - right).abs() < 1e-12, "{row} {j} of {columns}");
+                }
+            }
+        }
+    }
+}
