@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use mexpress::fit::factor::{Factor, Problem};
-use mexpress::holdout::pairs::Pairs;
+use mexpress::holdout::scheme::{Held, Scheme};
 use mexpress::pool::Pool;
 use mexpress::sets::Sets;
 
@@ -84,12 +84,13 @@ fn pairs(c: &mut Criterion) {
         let problem = problem(&design, &responses);
         let factor = fit(&problem, 1);
         let (held, validated, rows) = (windows(n, held), singles(n), singles(n));
-        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let order: Vec<usize> = (0..n).collect();
+        let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: Some(&order) };
         group.throughput(Throughput::Elements(n as u64));
         for threads in [1, 2] {
             group.bench_function(BenchmarkId::new(name, threads), |bencher| {
                 let pool = Pool::new(threads, &NEVER);
-                bencher.iter(|| factor.predict(&problem, black_box(&pairs), &pool).unwrap());
+                bencher.iter(|| factor.predict(&problem, black_box(&[scheme]), &rows, &pool).unwrap());
             });
         }
     }

@@ -4,8 +4,9 @@ use std::sync::atomic::AtomicBool;
 
 use mexpress::error::Error;
 use mexpress::fit::factor::{Factor, Problem};
-use mexpress::holdout::nested::{Curve, Held, Nested, Scheme};
-use mexpress::holdout::pairs::{Pairs, Predictions, Status};
+use mexpress::holdout::nested::{Curve, Nested};
+use mexpress::holdout::residuals::{Predictions, Status};
+use mexpress::holdout::scheme::{Held, Scheme};
 use mexpress::near::neighbours::LazyNeighbourhoods;
 use mexpress::pool::Pool;
 use mexpress::sets::Sets;
@@ -52,8 +53,8 @@ impl Case {
 
     fn predict(&self, fit: &Factor, held: &Sets, validated: &Sets, threads: usize) -> Predictions {
         let rows = singles(fit.rows);
-        let pairs = Pairs { held, validated, rows: &rows, order: &[] };
-        self.with_problem(|problem| fit.predict(problem, &pairs, &pool(threads)).unwrap())
+        let scheme = Scheme { held: Held::Sets(held), validated, order: None };
+        self.with_problem(|problem| fit.predict(problem, &[scheme], &rows, &pool(threads)).unwrap())
     }
 
     fn keep(&self, rows: &[usize]) -> Self {
@@ -230,8 +231,8 @@ proptest! {
         let (k, some): (Sets, Sets) = ([held.clone()].into_iter().collect(), [validated].into_iter().collect());
         let rows = singles(case.rows);
         let spread = |validated: &Sets, threads| {
-            let pairs = Pairs { held: &k, validated, rows: &rows, order: &[] };
-            case.with_problem(|problem| fit.spread(problem, &pairs, &pool(threads)).unwrap())
+            let scheme = Scheme { held: Held::Sets(&k), validated, order: None };
+            case.with_problem(|problem| fit.spread(problem, &scheme, &rows, &pool(threads)).unwrap())
         };
         let (whole, part) = (spread(&k, 1), spread(&some, 2));
         let h = fit.hat_blocks(&k, &pool(1)).unwrap();
@@ -266,10 +267,10 @@ proptest! {
         let (alone, every): (Sets, Vec<usize>) = (singles(n), (0..n).collect());
         let (one, part): (Sets, Sets) = ([some.clone()].into_iter().collect(), [some[..some.len().div_ceil(2)].to_vec()].into_iter().collect());
         let schemes = [
-            Scheme { held: Held::Sets(&windows), validated: &alone, order: &every },
-            Scheme { held: Held::Sets(&alone), validated: &alone, order: &every },
-            Scheme { held: Held::Lazy(&lazy), validated: &lazy.singletons, order: &every },
-            Scheme { held: Held::Sets(&one), validated: &part, order: &[0] },
+            Scheme { held: Held::Sets(&windows), validated: &alone, order: Some(&every) },
+            Scheme { held: Held::Sets(&alone), validated: &alone, order: Some(&every) },
+            Scheme { held: Held::Lazy(&lazy), validated: &lazy.singletons, order: Some(&every) },
+            Scheme { held: Held::Sets(&one), validated: &part, order: Some(&[0]) },
         ];
         let curves = case.curves(&schemes, 2);
         for (curve, (held, validated)) in curves.iter().zip([(&windows, &alone), (&alone, &alone), (&windows, &alone), (&one, &part)]) {
@@ -408,7 +409,8 @@ fn leading_models_near_rank_loss_are_refits_too() {
                 let held: Sets =
                     [vec![rows - 2, rows - 1], vec![3], vec![1, 3, rows - 2, rows - 1]].into_iter().collect();
                 let validated: Sets = [vec![rows - 1], vec![3], vec![1, rows - 2]].into_iter().collect();
-                let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: &[0, 1, 2] };
+                let scheme =
+                    Scheme { held: Held::Sets(&held), validated: &validated, order: Some(&[0, 1, 2]) };
                 case.assert_refits(&case.curves(&[scheme], 1)[0], &held, &validated, 1e-8);
             }
         }
@@ -426,7 +428,7 @@ fn leading_models_of_dependent_columns() {
         }
     }
     let (alone, order): (Sets, Vec<usize>) = (singles(30), (0..30).collect());
-    let scheme = Scheme { held: Held::Sets(&alone), validated: &alone, order: &order };
+    let scheme = Scheme { held: Held::Sets(&alone), validated: &alone, order: Some(&order) };
     case.assert_refits(&case.curves(&[scheme], 2)[0], &alone, &alone, 1e-9);
     case.with_problem(|problem| {
         let nested = Nested::new(problem, &pool(1)).unwrap();
@@ -459,7 +461,7 @@ fn schemes_together_are_each_alone_for_any_number_of_threads() {
     let near = |reach: f64| LazyNeighbourhoods::within(&places, 1, reach).unwrap();
     let (small, large) = (near(6.0), near(30.0));
     let order: Vec<usize> = (0..350).chain((350..700).rev()).collect();
-    let scheme = |lazy| Scheme { held: Held::Lazy(lazy), validated: &small.singletons, order: &order };
+    let scheme = |lazy| Scheme { held: Held::Lazy(lazy), validated: &small.singletons, order: Some(&order) };
     let both = case.curves(&[scheme(&large), scheme(&small)], 1);
     let bits = |curve: &Curve| curve.squares.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
     for threads in [2, 3] {
@@ -486,11 +488,11 @@ fn bad_schemes_are_errors() {
     let (alone, far): (Sets, Sets) = (singles(10), [vec![10]].into_iter().collect());
     let ten = Error::Index { index: 10, bound: 10 };
     let schemes = [
-        (Scheme { held: Held::Sets(&far), validated: &far, order: &[0] }, ten),
-        (Scheme { held: Held::Sets(&alone), validated: &alone, order: &[10] }, ten),
-        (Scheme { held: Held::Sets(&alone), validated: &far, order: &[0] }, ten),
+        (Scheme { held: Held::Sets(&far), validated: &far, order: Some(&[0]) }, ten),
+        (Scheme { held: Held::Sets(&alone), validated: &alone, order: Some(&[10]) }, ten),
+        (Scheme { held: Held::Sets(&alone), validated: &far, order: Some(&[0]) }, ten),
         (
-            Scheme { held: Held::Sets(&alone), validated: &singles(9), order: &[0] },
+            Scheme { held: Held::Sets(&alone), validated: &singles(9), order: Some(&[0]) },
             Error::Length { expected: 10, given: 9 },
         ),
     ];
@@ -548,7 +550,12 @@ fn bad_shapes_are_errors() {
     let sets: Sets = [vec![3]].into_iter().collect();
     let rows = singles(3);
     let found = fit
-        .predict(&problem, &Pairs { held: &sets, validated: &sets, rows: &rows, order: &[] }, &pool(1))
+        .predict(
+            &problem,
+            &[Scheme { held: Held::Sets(&sets), validated: &sets, order: None }],
+            &rows,
+            &pool(1),
+        )
         .err();
     assert_eq!(found, Some(Error::Index { index: 3, bound: 3 }));
     problem.design = &[1.0; 5];

@@ -13,7 +13,7 @@
 //! * **Dual.** `I - H_KK = I - Q_K Q_K^T` is q x q for q held-out rows: cheap for small sets.
 //! * **Primal.** By the Woodbury identity `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with `M = I - Q_K^T Q_K`, p x p: cheap for
 //!   large sets. The two cost the same at q = p.
-//! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout::pairs`].
+//! * **Chains.** Sets around the same datum nest: one dual factorisation of the largest serves all, see [`holdout::residuals`].
 //! * **One kernel.** Either is a Cholesky factorisation of `I - X X^T` with the right-hand side carried along as a border,
 //!   see [`holdout::kernel`]; only the validated unknowns are solved for.
 //! * **Weights** scale rows by their roots; **penalty rows** Z extend A and are never held out, so Q is the top of the
@@ -33,11 +33,15 @@
 //! | `fit::householder` | the basis of any design, by blocked reflections |
 //! | `fit::rank` | rank, and coefficients from the triangle |
 //! | [`fit::linalg`] | dense factorisations; the only file that names faer |
-//! | [`holdout::pairs`] | held-out pairs: which method, and their predictions in parallel |
-//! | `holdout::visit` | pairs that nest are solved together |
-//! | [`holdout::kernel`] | Gram matrix, factorisation and solve in one recurrence |
-//! | [`holdout::nested`] | every leading model at once: whole curves for the price of one model |
+//! | [`holdout::scheme`] | what is held out and validated: plain data |
+//! | `holdout::plan` | which pairs are visited together, and in what portions |
+//! | [`holdout::walk`] | the walk along pairs, each solved in the cheaper way |
 //! | [`holdout::gram`] | the matrix that neighbouring held-out sets share |
+//! | `holdout::dual`, `holdout::hat` | small sets, alone or each inside the next; the whole hat matrix where it pays |
+//! | [`holdout::kernel`] | Gram matrix, factorisation and solve in one recurrence |
+//! | [`holdout::residuals`] | what is asked of pairs: the prediction residuals of one model |
+//! | [`holdout::nested`] | or the scores of every leading model: whole curves for the price of one model |
+//! | `holdout::spread` | how much prediction residuals vary |
 //! | `holdout::rescue::refine` | pairs close to rank loss: the closed form corrected, several at a time |
 //! | [`holdout::rescue::double_double`] | the same with twice the digits, for nested models |
 //! | [`holdout::rescue::refit`] | pairs that may have lost rank: the training rows reduced anew |
@@ -60,7 +64,7 @@
 //!
 //! ```
 //! use mexpress::fit::factor::{Factor, Problem};
-//! use mexpress::holdout::pairs::Pairs;
+//! use mexpress::holdout::scheme::{Held, Scheme};
 //! use mexpress::pool::Pool;
 //! use mexpress::sets::Sets;
 //!
@@ -78,8 +82,8 @@
 //! };
 //! let fit = Factor::new(&problem, &pool)?;
 //! let alone: Sets = (0..3).map(|i| vec![i]).collect();
-//! let pairs = Pairs { held: &alone, validated: &alone, rows: &alone, order: &[] };
-//! let found = fit.predict(&problem, &pairs, &pool)?;
+//! let scheme = Scheme { held: Held::Sets(&alone), validated: &alone, order: None };
+//! let found = fit.predict(&problem, &[scheme], &alone, &pool)?;
 //! assert!((found.residuals[2] - 4.5).abs() < 1e-12);
 //! # Ok::<(), mexpress::error::Error>(())
 //! ```
@@ -88,7 +92,7 @@
 //!
 //! * Results are the same bit for bit for any number of threads.
 //! * No code here is `unsafe`; nothing panics on numbers, whatever they are.
-//! * No m x m matrix, unless m is small and it pays (see [`holdout::pairs`]).
+//! * No m x m matrix, unless m is small and it pays (see `holdout::hat`).
 
 #![deny(missing_docs)]
 

@@ -262,7 +262,7 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = compress([order])
-        prediction = self._predict([(sets, sets)], singletons(m), None)
+        prediction = self._predict([(sets, sets, None)], singletons(m), None)
         if len(prediction.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return prediction.residuals[np.argsort(np.argsort(order))]
@@ -370,18 +370,19 @@ class LeastSquares:
 
     def _predict(
         self,
-        schemes: Iterable[tuple[IndexSets, IndexSets]],
+        schemes: Iterable[tuple[IndexSets, IndexSets, Integers | None]],
         coupling: IndexSets,
         threads: int | None,
-        order: Integers | None = None,
     ) -> CrossValidation:
-        """Residuals of all pairs (held out, validated) without a score; an order of neighbouring data saves time."""
+        """Residuals of all pairs without a score.
+
+        A scheme is what is held out, what is validated, and an order in which successive pairs are near each other.
+        """
         workers = check.threads(threads)
         try:
             residuals, rows, offsets, lost = self._factor.predict(
-                [(held.arrays, validated.arrays) for held, validated in schemes],
+                [(held.arrays, validated.arrays, order) for held, validated, order in schemes],
                 coupling.arrays,
-                np.zeros(0, dtype=np.int64) if order is None else order,
                 workers,
             )
         except RuntimeError as error:
@@ -412,7 +413,7 @@ def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Inte
     """PRESS, and the rows without which the model is not determined."""
     m, weights = len(model.leverage), model._row_weights
     alone = singletons(m)
-    prediction = model._predict([(alone, alone)], alone, threads)
+    prediction = model._predict([(alone, alone, None)], alone, threads)
     total = float(m) if weights is None else float(weights.sum())
     return _root_mean(prediction.residuals, weights, total), prediction.undefined
 
@@ -425,10 +426,8 @@ def cross_validate_all(
         return {}
     for scheme in schemes.values():
         _expect_scheme(model, scheme)
-    pairs = [(scheme.held_out, scheme.validated) for scheme in schemes.values()]
-    along = next((scheme for scheme in schemes.values() if scheme.order is not None), None)
-    order = None if along is None else _first_validated(along)
-    together = model._predict(pairs, model._coupling, threads, order)
+    given = [(scheme.held_out, scheme.validated, scheme.order) for scheme in schemes.values()]
+    together = model._predict(given, model._coupling, threads)
     ends = np.cumsum([len(scheme) for scheme in schemes.values()])
     starts = ends - [len(scheme) for scheme in schemes.values()]
     return {
@@ -451,12 +450,6 @@ def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
     """Split a flat array into square matrices."""
     parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(sizes) else []
     return [part.reshape(size, size) for part, size in zip(parts, sizes, strict=True)]
-
-
-def _first_validated(scheme: Scheme) -> Integers:
-    """The first validated datum of each pair that has one, in the visiting order."""
-    pairs = scheme.visiting_order[scheme.validated.sizes[scheme.visiting_order] > 0]
-    return scheme.validated.indices[scheme.validated.offsets[pairs]]
 
 
 def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:

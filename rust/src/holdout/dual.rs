@@ -1,10 +1,15 @@
 //! The dual: pairs solved in the space of their held-out rows, `(I - H_KK) z = e_K`, alone or each inside the next.
+//!
+//! Balls around one datum nest, and one factorisation serves them all: with the datum's rows first and then ring after ring,
+//! a ball is a leading part of the largest, and so are its factor L and its forward solves `y = L^-1 e_K` and
+//! `z = L^-1 1_T`, of which `e_(T) = z^T y`. One to three rows are unrolled.
 
 use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
-use crate::holdout::pairs::Workspace;
+use crate::holdout::hat::Hat;
 use crate::holdout::probes::{PROBES, by_probe, set_probes};
-use crate::holdout::visit::{Hat, MOST_CARRIED, Slot};
+use crate::holdout::residuals::MOST_CARRIED;
+use crate::holdout::walk::Workspace;
 
 impl Workspace {
     /// `(I - H_KK) z = e_K` for one to three rows, in registers.
@@ -37,34 +42,33 @@ impl Workspace {
         least
     }
 
-    /// Solves the pairs of the first `ends` rows, each inside the next; false if the largest cannot be factored. More
-    /// validated rows than ride along are those of a single pair.
+    /// Solves the pairs of the first `ends` rows, each inside the next, one block of residuals after another, and estimates
+    /// their smallest eigenvalues; false if the largest cannot be factored. More validated rows than ride along are those
+    /// of a single pair.
     pub(super) fn dual(
         &mut self,
         factor: &Factor,
         hat: Option<&Hat>,
         ends: &[usize],
-        slots: &mut [Slot<'_>],
+        out: &mut [f64],
     ) -> bool {
-        let (q, responses) = (ends[ends.len() - 1], factor.responses);
+        let (q, responses) = (ends.last().copied().unwrap_or(0), factor.responses);
         let carried = if self.validated <= MOST_CARRIED { self.validated } else { 0 };
         self.fill_dual(factor, hat, q, carried);
         if self.system.factor() <= 0.0 {
             return false;
         }
         self.least_eigenvalues(ends, responses);
+        let block = self.validated * responses;
         for c in 0..responses {
             for k in 0..carried {
                 let products = self.system.forward_products(c, responses + PROBES + k);
-                leading_sums(products, ends, |pair, e| slots[pair].residuals[k * responses + c] = e);
+                leading_sums(products, ends, |pair, e| out[pair * block + k * responses + c] = e);
             }
             if carried < self.validated {
                 let z = self.system.back_solve(c, 0);
-                slots[0].residuals.iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
+                out[..block].iter_mut().skip(c).step_by(responses).zip(z).for_each(|(e, z)| *e = *z);
             }
-        }
-        for (slot, &least) in slots.iter_mut().zip(&self.least) {
-            self.accept(factor, least, slot);
         }
         true
     }
@@ -72,6 +76,7 @@ impl Workspace {
     /// `I - H_KK` of the first q rows, with residuals, and unit vectors of the first `carried` rows.
     pub(super) fn fill_dual(&mut self, factor: &Factor, hat: Option<&Hat>, q: usize, carried: usize) {
         let responses = factor.responses;
+        self.factored = None;
         let rows = &self.rows[..q];
         let border = responses + PROBES + carried;
         match hat {

@@ -11,8 +11,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::holdout::kernel::{PANEL, products};
 
-/// Rows added at a time: their packed copy, of a few hundred columns, stays in the second-level cache.
-const PACKED_ROWS: usize = 64;
+/// Rows added at a time: their packed copy, of a few hundred columns, stays in the second-level cache. Of a power of two,
+/// panels would lie in the same places of the cache.
+const PACKED_ROWS: usize = 60;
 
 /// The matrix and the right-hand sides below it.
 #[derive(Clone, Default)]
@@ -65,6 +66,9 @@ impl Gram {
 
     /// Holds rows out (sign -1) or takes them back in (1), each given by its entries and its right-hand sides.
     pub fn change<'a>(&mut self, rows: &[usize], sign: f64, fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
+        if self.order == 0 {
+            return;
+        }
         for batch in rows.chunks(PACKED_ROWS) {
             self.pack(batch, &fetch);
             let (panels, terms) = (&mut self.panels[..], &self.terms[..]);
@@ -73,19 +77,18 @@ impl Gram {
     }
 
     fn pack<'a>(&mut self, rows: &[usize], fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
-        let order = self.order;
-        self.terms.resize(self.count() * rows.len() * PANEL, 0.0);
-        for (panel, columns) in self.terms.chunks_exact_mut(rows.len() * PANEL).enumerate() {
-            let first = panel * PANEL;
-            for (column, &row) in columns.as_chunks_mut::<PANEL>().0.iter_mut().zip(rows) {
-                let (head, border) = fetch(row);
-                *column = match head[first.min(order)..].first_chunk::<PANEL>() {
-                    Some(lanes) => *lanes,
-                    None => std::array::from_fn(|lane| {
-                        let i = first + lane;
-                        head.get(i).or_else(|| border.get(i.wrapping_sub(order))).copied().unwrap_or(0.0)
-                    }),
-                };
+        let (order, length) = (self.order, rows.len());
+        self.terms.resize(self.count() * length * PANEL, 0.0);
+        let (lines, _) = self.terms.as_chunks_mut::<PANEL>();
+        for (k, &row) in rows.iter().enumerate() {
+            let (head, border) = fetch(row);
+            let (whole, rest) = head.as_chunks::<PANEL>();
+            for (line, lanes) in lines[k..].iter_mut().step_by(length).zip(whole) {
+                *line = *lanes;
+            }
+            let mut entries = rest.iter().chain(border);
+            for line in lines[k..].iter_mut().step_by(length).skip(order / PANEL) {
+                *line = std::array::from_fn(|_| entries.next().copied().unwrap_or(0.0));
             }
         }
     }

@@ -135,32 +135,6 @@ impl Bordered {
         &mut self.storage[self.skip + row / PANEL * self.shape.stride() + at]
     }
 
-    /// Sets every term: the rows' entries are those of `head(t)`, then those of `border(t)`, then zeros.
-    pub fn set_terms<'a>(&mut self, head: impl Fn(usize) -> &'a [f64], border: impl Fn(usize) -> &'a [f64]) {
-        let Shape { order, terms, panels } = self.shape;
-        let stride = self.shape.stride();
-        // Panel by panel: the writes are then contiguous, and the reads find their rows in the cache.
-        for panel in 0..panels {
-            let at = self.skip + panel * stride;
-            let (columns, _) = self.storage[at..at + terms * PANEL].as_chunks_mut::<PANEL>();
-            let first = panel * PANEL;
-            if first + PANEL <= order {
-                for (t, column) in columns.iter_mut().enumerate() {
-                    // Of a length that the compiler knows: a move, not a call.
-                    if let Some(lanes) = head(t)[first..].first_chunk::<PANEL>() {
-                        *column = *lanes;
-                    }
-                }
-            } else {
-                for (t, column) in columns.iter_mut().enumerate() {
-                    let (head, border) = (head(t), border(t));
-                    let entry = |row: usize| head.get(row).or_else(|| border.get(row - order));
-                    *column = std::array::from_fn(|lane| entry(first + lane).copied().unwrap_or(0.0));
-                }
-            }
-        }
-    }
-
     /// Sets all terms of one row.
     pub fn set_row(&mut self, row: usize, terms: &[f64]) {
         let at = self.skip + row / PANEL * self.shape.stride();
@@ -347,17 +321,16 @@ impl Factor<'_> {
                 }
             }
             for column in first..last {
-                if column > first {
-                    for row in (column..panels).step_by(R) {
-                        self.update::<S, V, R, C>(simd, row, column, done, terms + column * PANEL);
-                    }
+                for row in (column..panels).step_by(R) {
+                    self.update::<S, V, R, C>(simd, row, column, done, terms + column * PANEL);
                 }
-                smallest = smallest.min(self.pivots(column));
+                let (least, unit) = self.pivots(column);
+                smallest = smallest.min(least);
                 if smallest.is_nan() || smallest <= 0.0 {
                     return smallest.min(0.0);
                 }
                 for row in column + 1..panels {
-                    self.solve::<S, V>(simd, row, column);
+                    self.solve::<S, V>(simd, row, column, &unit);
                 }
             }
         }
@@ -374,6 +347,9 @@ impl Factor<'_> {
         from: usize,
         to: usize,
     ) {
+        if from == to {
+            return;
+        }
         let stride = self.shape.stride();
         let width = PANEL.min(self.shape.order - column * PANEL);
         if R == 2 && row + 1 == self.shape.panels {
@@ -398,46 +374,52 @@ impl Factor<'_> {
         }
     }
 
-    /// Factorises the diagonal block of a panel, and carries the border rows that share the panel along.
+    /// Factorises the diagonal block of a panel, and carries the border rows that share the panel along. Its smallest pivot,
+    /// and its columns divided by their diagonal entries.
     #[inline(always)]
-    fn pivots(&mut self, column: usize) -> f64 {
+    fn pivots(&mut self, column: usize) -> (f64, Unit) {
         let first = column * PANEL;
         let width = PANEL.min(self.shape.order - first);
         let at = column * self.shape.stride() + (self.shape.terms + first) * PANEL;
         let (block, _) = self.storage[at..at + width * PANEL].as_chunks_mut::<PANEL>();
-        let mut smallest = f64::INFINITY;
+        let mut unit = [[0.0; PANEL]; PANEL];
+        let mut values = [1.0; PANEL];
+        // Columns are divided by the roots of their pivots afterwards, all at once: from pivot to pivot it is a long way
+        // as it is.
         for k in 0..width {
             // A copy, in registers: stores cannot touch it, so the lanes below are one vector.
-            let mut pivot = block[k];
-            let value = pivot[k];
-            if value.is_nan() || value <= 0.0 {
-                return 0.0;
+            let pivot = block[k];
+            values[k] = pivot[k];
+            if pivot[k].is_nan() || pivot[k] <= 0.0 {
+                return (0.0, unit);
             }
-            smallest = smallest.min(value);
-            let inverse = value.sqrt().recip();
-            self.inverse_pivots[first + k] = inverse;
-            pivot.iter_mut().for_each(|x| *x *= inverse);
-            block[k] = pivot;
-            for (other, factor) in block.iter_mut().zip(pivot).skip(k + 1) {
-                *other = std::array::from_fn(|lane| other[lane] - pivot[lane] * factor);
+            let inverse = pivot[k].recip();
+            unit[k] = pivot.map(|x| x * inverse);
+            for (j, other) in block.iter_mut().enumerate().skip(k + 1) {
+                *other = std::array::from_fn(|lane| other[lane] - pivot[lane] * unit[k][j]);
             }
         }
-        smallest
+        let inverse_roots = values.map(|value: f64| value.sqrt().recip());
+        self.inverse_pivots[first..first + width].copy_from_slice(&inverse_roots[..width]);
+        for (column, inverse) in block.iter_mut().zip(inverse_roots) {
+            column.iter_mut().for_each(|x| *x *= inverse);
+        }
+        (values[..width].iter().copied().fold(f64::INFINITY, f64::min), unit)
     }
 
     /// Finishes the columns of panel `column` in the panel `row` below it.
     #[inline(always)]
-    fn solve<S: Simd, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
+    fn solve<S: Simd, const V: usize>(&mut self, simd: S, row: usize, column: usize, unit: &Unit) {
         let first = column * PANEL;
         let width = PANEL.min(self.shape.order - first);
-        let stride = self.shape.stride();
-        let offset = (self.shape.terms + first) * PANEL;
-        let (above, below) = self.storage.split_at_mut(row * stride);
-        let diagonal = &above[column * stride + offset..column * stride + offset + width * PANEL];
-        let (block, _) = S::as_mut_simd_f64s(&mut below[offset..offset + width * PANEL]);
-        substitute::<S, V>(simd, block, diagonal, &self.inverse_pivots[first..first + width]);
+        let at = row * self.shape.stride() + (self.shape.terms + first) * PANEL;
+        let (block, _) = S::as_mut_simd_f64s(&mut self.storage[at..at + width * PANEL]);
+        substitute::<S, V>(simd, block, unit, &self.inverse_pivots[first..first + width]);
     }
 }
+
+/// A diagonal block of L with columns divided by their diagonal entries: column k at k.
+type Unit = [[f64; PANEL]; PANEL];
 
 /// Forward substitution in panels of right-hand sides.
 struct Carry<'a> {
@@ -480,34 +462,36 @@ impl Carry<'_> {
                         target.iter_mut().zip(sum[0]).for_each(|(t, s)| *t = simd.sub_f64s(*t, s));
                     }
                 }
-                let diagonal = &self.factor[at + first * PANEL..at + (first + width) * PANEL];
-                substitute::<S, V>(simd, block, diagonal, &self.inverse_pivots[first..first + width]);
+                let diagonal = self.factor[at + first * PANEL..].as_chunks::<PANEL>().0;
+                let inverse_pivots = &self.inverse_pivots[first..first + width];
+                let mut unit = [[0.0; PANEL]; PANEL];
+                for ((unit, column), inverse) in unit.iter_mut().zip(diagonal).zip(inverse_pivots) {
+                    *unit = column.map(|x| x * inverse);
+                }
+                substitute::<S, V>(simd, block, &unit, inverse_pivots);
             }
         }
     }
 }
 
-/// Finishes the columns of a block of eight rows, given the factor's diagonal block beside it.
+/// Finishes the columns of a block of eight rows, given the factor's diagonal block beside it. Unscaled, a column waits for
+/// one multiply-add of the column before it; all are scaled at the end.
 #[inline(always)]
-fn substitute<S: Simd, const V: usize>(
-    simd: S,
-    block: &mut [S::f64s],
-    diagonal: &[f64],
-    inverse_pivots: &[f64],
-) {
-    for (k, inverse) in inverse_pivots.iter().enumerate() {
-        let (done, rest) = block.split_at_mut((k + 1) * V);
-        let current = &mut done[k * V..];
-        let inverse = simd.splat_f64s(*inverse);
-        for x in current.iter_mut() {
-            *x = simd.mul_f64s(*x, inverse);
-        }
-        for (j, other) in rest.chunks_exact_mut(V).enumerate() {
-            let factor = simd.splat_f64s(-diagonal[k * PANEL + k + 1 + j]);
-            for (o, &x) in other.iter_mut().zip(&*current) {
-                *o = simd.mul_add_f64s(x, factor, *o);
+fn substitute<S: Simd, const V: usize>(simd: S, block: &mut [S::f64s], unit: &Unit, inverse_pivots: &[f64]) {
+    let (columns, _) = block.as_chunks_mut::<V>();
+    for k in 0..columns.len().min(PANEL) {
+        let (done, rest) = columns.split_at_mut(k + 1);
+        let current = done[k];
+        for (other, factor) in rest.iter_mut().zip(&unit[k][k + 1..]) {
+            let factor = simd.splat_f64s(-factor);
+            for v in 0..V {
+                other[v] = simd.mul_add_f64s(current[v], factor, other[v]);
             }
         }
+    }
+    for (column, inverse) in columns.iter_mut().zip(inverse_pivots) {
+        let inverse = simd.splat_f64s(*inverse);
+        column.iter_mut().for_each(|x| *x = simd.mul_f64s(*x, inverse));
     }
 }
 
@@ -519,10 +503,13 @@ pub(crate) fn products<S: Simd, const V: usize, const R: usize, const C: usize>(
     factors: &[f64],
     first: usize,
 ) -> [[[S::f64s; V]; R]; C] {
+    // What the compiler knows here it need not check in the loop.
+    assert!(first + C <= PANEL);
+    let (factors, _) = factors.as_chunks::<PANEL>();
+    let rows: [&[[S::f64s; V]]; R] = rows.map(|row| &row.as_chunks::<V>().0[..factors.len()]);
     let mut sums = [[[simd.splat_f64s(0.0); V]; R]; C];
-    for (t, factor) in factors.chunks_exact(PANEL).enumerate() {
-        let here: [&[S::f64s; V]; R] =
-            std::array::from_fn(|r| (&rows[r][t * V..t * V + V]).try_into().unwrap());
+    for (t, factor) in factors.iter().enumerate() {
+        let here: [[S::f64s; V]; R] = std::array::from_fn(|r| rows[r][t]);
         for (k, sum) in sums.iter_mut().enumerate() {
             let f = simd.splat_f64s(factor[first + k]);
             for r in 0..R {
@@ -561,7 +548,7 @@ mod tests {
                 let x = noise(order * terms, (order * 1000 + terms) as u64, size);
                 let right = noise(order, 7, 1.0);
                 system.start(order, 1, terms);
-                system.set_terms(|t| &x[t * order..(t + 1) * order], |_| &[]);
+                set_terms(&mut system, &x, order);
                 for (j, value) in right.iter().enumerate() {
                     *system.entry(order, j) = *value;
                 }
@@ -579,20 +566,35 @@ mod tests {
         }
     }
 
+    /// A matrix with its right-hand side, factored as it stands, equals the one that is made of terms.
     #[test]
-    fn terms_by_row_and_by_column_agree() {
+    fn terms_and_their_gram_matrix_agree() {
         let (order, terms) = (13, 6);
         let x = noise(order * terms, 3, 0.1);
+        let mut gram = Gram::default();
+        gram.start(order, 1);
+        let rows: Vec<usize> = (0..terms).collect();
+        gram.change(&rows, -1.0, |t| (&x[t * order..(t + 1) * order], &[1.0]));
         let mut systems = [Bordered::default(), Bordered::default()];
-        systems.iter_mut().for_each(|s| s.start(order, 2, terms));
-        let columns: Vec<f64> = (0..order * terms).map(|k| x[k % order * terms + k / order]).collect();
-        systems[0].set_terms(|t| &columns[t * order..(t + 1) * order], |_| &[]);
-        for i in 0..order {
-            systems[1].set_row(i, &x[i * terms..(i + 1) * terms]);
-        }
-        systems[1].clear_rows(order);
+        systems[0].start(order, 3, terms);
+        set_terms(&mut systems[0], &x, order);
+        (0..terms).for_each(|t| {
+            systems[0].storage[systems[0].skip + systems[0].shape.stride() + t * PANEL + 5] = 1.0
+        });
+        systems[1].start_from(&gram, 2);
         let pivots = systems.each_mut().map(Bordered::factor);
-        assert_eq!(pivots[0].to_bits(), pivots[1].to_bits());
+        assert!((pivots[0] - pivots[1]).abs() < 1e-14);
+        let forward = systems.each_ref().map(|system| system.forward_products(0, 0).sum::<f64>());
+        assert!((forward[0] - forward[1]).abs() < 1e-13 && forward[0] > 0.0);
+    }
+
+    /// Sets the terms of all rows from those of term after term, and clears the border's.
+    fn set_terms(system: &mut Bordered, x: &[f64], order: usize) {
+        for i in 0..order {
+            let terms: Vec<f64> = x.iter().skip(i).step_by(order).copied().collect();
+            system.set_row(i, &terms);
+        }
+        system.clear_rows(order);
     }
 
     #[test]
@@ -602,7 +604,7 @@ mod tests {
             system.start(order, 1, 1);
             let mut unit = vec![0.0; order];
             unit[order - 1] = 1.0;
-            system.set_terms(|_| &unit, |_| &[0.5]);
+            set_terms(&mut system, &unit, order);
             assert_eq!(system.factor(), 0.0);
         }
     }

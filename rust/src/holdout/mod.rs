@@ -2,10 +2,13 @@
 
 mod dual;
 pub mod gram;
+mod hat;
 pub mod kernel;
 pub mod nested;
-pub mod pairs;
-mod primal;
+mod plan;
 mod probes;
 pub mod rescue;
-mod visit;
+pub mod residuals;
+pub mod scheme;
+mod spread;
+pub mod walk;

@@ -39,24 +39,13 @@ fn append(values: &PyReadonlyArray1<'_, i64>, copied: &mut Vec<usize>) -> PyResu
     Ok(())
 }
 
-pub(super) fn sets(listed: &ReadSets<'_>) -> PyResult<Sets> {
-    all_sets(&[listed])
-}
-
-/// The sets of several lists, one list after another.
-pub(super) fn all_sets(lists: &[&ReadSets<'_>]) -> PyResult<Sets> {
-    let mut all = Sets { offsets: vec![0], items: Vec::new() };
-    all.items.reserve_exact(lists.iter().map(|(_, items)| items.len()).sum());
-    for (offsets, items) in lists {
-        let (offsets, before) = (numbers(offsets)?, all.items.len());
-        let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
-        if !(whole && offsets.is_sorted()) {
-            return Err(PyValueError::new_err("offsets do not cut the items into sets"));
-        }
-        all.offsets.extend(offsets[1..].iter().map(|offset| before + offset));
-        append(items, &mut all.items)?;
+pub(super) fn sets((offsets, items): &ReadSets<'_>) -> PyResult<Sets> {
+    let offsets = numbers(offsets)?;
+    let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
+    if !(whole && offsets.is_sorted()) {
+        return Err(PyValueError::new_err("offsets do not cut the items into sets"));
     }
-    Ok(all)
+    Ok(Sets { offsets, items: numbers(items)? })
 }
 
 pub(super) fn indices(py: Python<'_>, values: Vec<usize>) -> Array1<'_, i64> {

@@ -3,13 +3,15 @@
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, ReadSets, all_sets, indices, numbers, sets, table};
+use super::arrays::{Array1, Array2, ReadSets, indices, numbers, sets, table};
 use super::interrupt::interruptible;
 use super::problem::{KeptArrays, ProblemArrays};
 use crate::error::Error;
 use crate::fit::factor::{self, Problem};
-use crate::holdout::pairs::{Pairs, Status};
+use crate::holdout::residuals::Status;
+use crate::holdout::scheme::{Held, Scheme};
 use crate::pool::Pool;
+use crate::sets::Sets;
 
 /// A fitted least-squares problem.
 #[pyclass(frozen, module = "mexpress._core")]
@@ -102,26 +104,36 @@ impl Factor {
         PyArray1::from_slice(py, &self.fit.leverage)
     }
 
-    /// (residuals, rows, offsets, undefined) of the pairs.
+    /// (residuals, rows, offsets, undefined) of the pairs of schemes, each given as what is held out, what is validated, and
+    /// an order of its pairs.
     #[expect(clippy::type_complexity)]
     fn predict<'py>(
         &self,
         py: Python<'py>,
-        schemes: Vec<(ReadSets<'py>, ReadSets<'py>)>,
+        schemes: Vec<(ReadSets<'py>, ReadSets<'py>, Option<PyReadonlyArray1<'py, i64>>)>,
         rows: ReadSets<'py>,
-        order: PyReadonlyArray1<'py, i64>,
         threads: usize,
     ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
-        let (held, validated): (Vec<_>, Vec<_>) =
-            schemes.iter().map(|(held, validated)| (held, validated)).unzip();
-        let (held, validated, rows) = (all_sets(&held)?, all_sets(&validated)?, sets(&rows)?);
+        let read = |(held, validated, order): &(_, _, Option<_>)| {
+            Ok((sets(held)?, sets(validated)?, order.as_ref().map(numbers).transpose()?))
+        };
+        let lists = schemes.iter().map(read).collect::<PyResult<Vec<(Sets, Sets, Option<Vec<usize>>)>>>()?;
+        let schemes: Vec<Scheme<'_>> = lists
+            .iter()
+            .map(|(held, validated, order)| Scheme {
+                held: Held::Sets(held),
+                validated,
+                order: order.as_deref(),
+            })
+            .collect();
+        let rows = sets(&rows)?;
         // At worst every pair is refitted.
-        let cost = 2.0 * held.len() as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
-        let order = numbers(&order)?;
-        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &order };
+        let count: usize = lists.iter().map(|(held, ..)| held.len()).sum();
+        let cost = 2.0 * count as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
-        let found = interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &pairs, pool))?;
+        let found =
+            interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &schemes, &rows, pool))?;
         let lost = (0..found.status.len()).filter(|&pair| found.status[pair] == Status::Undefined).collect();
         let count = found.rows.len();
         Ok((
@@ -142,11 +154,12 @@ impl Factor {
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
         let (held, validated, rows) = (sets(&held)?, sets(&validated)?, sets(&rows)?);
-        let pairs = Pairs { held: &held, validated: &validated, rows: &rows, order: &[] };
+        let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: None };
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
-        let blocks =
-            interruptible(py, f64::INFINITY, threads, |pool| self.fit.spread(&problem, &pairs, pool))?;
+        let blocks = interruptible(py, f64::INFINITY, threads, |pool| {
+            self.fit.spread(&problem, &scheme, &rows, pool)
+        })?;
         Ok(PyArray1::from_vec(py, blocks))
     }
 

@@ -8,6 +8,7 @@ use super::interrupt::interruptible;
 use super::near::LazyNeighbourhoods;
 use super::problem::KeptArrays;
 use crate::holdout::nested;
+use crate::holdout::scheme::{Held, Scheme};
 use crate::near::neighbours;
 use crate::sets::Sets;
 
@@ -78,8 +79,7 @@ impl Nested {
             .iter()
             .map(|(held, order)| Ok((held.read()?, numbers(order)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        let schemes: Vec<nested::Scheme<'_>> =
-            lists.iter().map(|(listing, order)| listing.scheme(order)).collect();
+        let schemes: Vec<Scheme<'_>> = lists.iter().map(|(listing, order)| listing.scheme(order)).collect();
         let (rows, sizes) = (sets(&rows)?, numbers(&sizes)?);
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
@@ -116,13 +116,11 @@ impl HeldOut<'_> {
 }
 
 impl Listing<'_> {
-    fn scheme<'a>(&'a self, order: &'a [usize]) -> nested::Scheme<'a> {
+    fn scheme<'a>(&'a self, order: &'a [usize]) -> Scheme<'a> {
         match self {
-            Self::Sets(held, validated) => {
-                nested::Scheme { held: nested::Held::Sets(held), validated, order }
-            }
+            Self::Sets(held, validated) => Scheme { held: Held::Sets(held), validated, order: Some(order) },
             Self::Lazy(lazy) => {
-                nested::Scheme { held: nested::Held::Lazy(lazy), validated: &lazy.singletons, order }
+                Scheme { held: Held::Lazy(lazy), validated: &lazy.singletons, order: Some(order) }
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Small sets: the inverse of `S_l = I - Q_K,l Q_K,l^T` column by column, and with it the residuals of every leading model.
 
 use super::Nested;
-use super::sweep::CERTAIN_MIN_EIGENVALUE;
+use super::curves::CERTAIN_MIN_EIGENVALUE;
 use crate::fit::linalg::dot;
 
 /// Workspace of the dual.
@@ -17,7 +17,7 @@ pub(super) struct Dual {
 }
 
 impl Dual {
-    /// Adds the squared residuals of the last `validated` rows at every cut; false if that may be inaccurate.
+    /// Adds the squared residuals of the first `validated` rows at every cut; false if that may be inaccurate.
     pub(super) fn solve(
         &mut self,
         nested: &Nested,
@@ -25,16 +25,22 @@ impl Dual {
         (rows, validated): (&[usize], usize),
         squares: &mut [f64],
     ) -> bool {
+        match rows.len() {
+            1 => return unrolled::<1>(nested, cuts, (rows, validated), squares),
+            2 => return unrolled::<2>(nested, cuts, (rows, validated), squares),
+            3 => return unrolled::<3>(nested, cuts, (rows, validated), squares),
+            _ => {}
+        }
         let (q, rank) = (rows.len(), nested.factor.rank);
         self.load(nested, rows);
-        let first = q - validated;
         let mut done = 0;
         for (square, &cut) in squares.iter_mut().zip(cuts) {
             if !(done..cut).all(|j| self.column(j, q, nested.factor.projection.chunks_exact(rank.max(1)))) {
                 return false;
             }
             done = cut;
-            *square += self.residuals.chunks_exact(q).map(|e| dot(&e[first..], &e[first..])).sum::<f64>();
+            *square +=
+                self.residuals.chunks_exact(q).map(|e| dot(&e[..validated], &e[..validated])).sum::<f64>();
         }
         let trace: f64 = self.inverse.iter().step_by(q + 1).sum();
         trace < q as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE
@@ -77,4 +83,48 @@ impl Dual {
         }
         true
     }
+}
+
+/// The same for one to three rows, in registers; one response after another.
+fn unrolled<const N: usize>(
+    nested: &Nested,
+    cuts: &[usize],
+    (rows, validated): (&[usize], usize),
+    squares: &mut [f64],
+) -> bool {
+    let Nested { factor, .. } = nested;
+    let q: [&[f64]; N] = std::array::from_fn(|k| factor.basis_row(rows[k]));
+    for c in 0..factor.responses {
+        let projection = &factor.projection[c * factor.rank..(c + 1) * factor.rank];
+        let mut inverse: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(i == j)));
+        let mut e: [f64; N] = std::array::from_fn(|k| nested.right_row(rows[k])[c]);
+        let mut done = 0;
+        for (square, &cut) in squares.iter_mut().zip(cuts) {
+            for j in done..cut {
+                let x: [f64; N] = std::array::from_fn(|k| q[k][j]);
+                let w = inverse.map(|row| inner(&row, &x));
+                let pivot = 1.0 - inner(&w, &x);
+                if pivot.is_nan() || pivot <= CERTAIN_MIN_EIGENVALUE {
+                    return false;
+                }
+                let factor = pivot.recip();
+                let step = (projection[j] - inner(&x, &e)) * factor;
+                for i in 0..N {
+                    e[i] -= w[i] * step;
+                    (0..N).for_each(|k| inverse[i][k] += w[i] * w[k] * factor);
+                }
+            }
+            done = cut;
+            *square += dot(&e[..validated], &e[..validated]);
+        }
+        let trace: f64 = (0..N).map(|i| inverse[i][i]).sum();
+        if trace >= N as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE {
+            return false;
+        }
+    }
+    true
+}
+
+fn inner<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -24,74 +24,37 @@
 //!   Where Q itself has too few digits, at lambda_min near rounding, the training rows are refitted, and their own
 //!   triangle gives u and v for all l.
 
+mod curves;
 mod dual;
 mod rescue;
-mod sweep;
 
 use std::sync::OnceLock;
 
-use self::sweep::{Sweep, Task, Workspace, chains};
+use self::curves::{AllModels, Scores, Visited};
 use crate::error::Error;
-use crate::fit::factor::{self, Factor, Problem, expect_length};
+use crate::fit::factor::{self, Factor, Problem};
 use crate::fit::linalg;
-use crate::holdout::pairs::check_indices;
+use crate::holdout::plan;
 use crate::holdout::rescue::double_double::DdGram;
-use crate::near::neighbours::LazyNeighbourhoods;
+use crate::holdout::scheme::{Scheme, check_indices};
+use crate::holdout::walk::{Ground, walk};
 use crate::pool::Pool;
 use crate::sets::Sets;
-
-/// Held-out and validated data of pairs.
-pub struct Scheme<'a> {
-    /// Held-out data of each pair.
-    pub held: Held<'a>,
-    /// Validated data of each pair, a subset of those held out.
-    pub validated: &'a Sets,
-    /// The pairs to be visited, successive ones best near each other: they then share most of what they hold out.
-    pub order: &'a [usize],
-}
-
-/// Data that pairs hold out.
-#[derive(Clone, Copy)]
-pub enum Held<'a> {
-    /// Listed.
-    Sets(&'a Sets),
-    /// Neighbourhoods, found when they are needed.
-    Lazy(&'a LazyNeighbourhoods),
-}
-
-impl Held<'_> {
-    fn len(self) -> usize {
-        match self {
-            Self::Sets(sets) => sets.len(),
-            Self::Lazy(lazy) => lazy.singletons.len(),
-        }
-    }
-
-    /// About how many data a pair holds out.
-    fn mean(self) -> f64 {
-        match self {
-            Self::Sets(sets) => sets.items.len() as f64 / sets.len().max(1) as f64,
-            Self::Lazy(lazy) => lazy.mean,
-        }
-    }
-
-    fn members(self, pair: usize, out: &mut Vec<usize>) {
-        match self {
-            Self::Sets(sets) => {
-                out.clear();
-                out.extend_from_slice(sets.get(pair));
-            }
-            Self::Lazy(lazy) => lazy.members(pair, out),
-        }
-    }
-}
 
 /// One scheme's scores of every model.
 pub struct Curve {
     /// Sum of squared weighted prediction residuals, one a model; NaN where a pair is undefined.
     pub squares: Vec<f64>,
-    /// How many of the models are defined, for each pair in the order of the visit.
+    /// How many of the models are defined, for each pair in the scheme's order.
     pub defined: Vec<usize>,
+}
+
+impl Curve {
+    /// Notes how many models of a pair are defined.
+    fn note(&mut self, schemes: &[Scheme<'_>], visited: Visited, defined: usize) {
+        let listed = schemes[visited.scheme].order.is_none();
+        self.defined[if listed { visited.pair } else { visited.step }] = defined;
+    }
 }
 
 /// The fit of one model.
@@ -207,36 +170,32 @@ impl Nested {
         sizes: &[usize],
         pool: &Pool<'_>,
     ) -> Result<Vec<Curve>, Error> {
-        check(schemes, rows, self.factor.rows)?;
+        check_indices(rows, self.factor.rows)?;
+        schemes.iter().try_for_each(|scheme| scheme.check(rows))?;
         let cuts = self.cuts(sizes)?;
-        let sweep = Sweep { nested: self, schemes, rows, cuts: &cuts };
-        let chains = chains(schemes);
-        let mut tasks: Vec<Task> = Vec::new();
-        for chain in &chains {
-            let length = schemes[chain[0]].order.len();
-            let steps = sweep.steps(chain);
-            tasks.extend(
-                (0..length).step_by(steps).map(|first| sweep.task(chain, first, length.min(first + steps))),
-            );
-        }
-        pool.run(
-            tasks.iter_mut(),
-            || Workspace::new(&sweep),
-            |workspace, task| workspace.solve_task(&sweep, task, pool),
-        )?;
+        let chains = plan::chains(schemes);
+        let ground = Ground { factor: &self.factor, schemes, rows, hat: None };
+        let models = AllModels { ground: &ground, nested: self, cuts: &cuts };
+        let portions = plan::portions(&chains, schemes, &self.factor, rows);
+        let scores = |count: usize| Scores::new(count, cuts.len());
+        let mut parts: Vec<Scores> = portions.iter().map(|p| scores(p.chain.schemes.len())).collect();
+        walk(&ground, &models, &portions, &mut parts, pool)?;
         let mut found: Vec<Curve> = schemes
             .iter()
-            .map(|s| Curve { squares: vec![0.0; cuts.len()], defined: vec![cuts.len(); s.order.len()] })
+            .map(|s| Curve { squares: vec![0.0; cuts.len()], defined: vec![cuts.len(); s.steps()] })
             .collect();
         let mut rest = Vec::new();
-        for task in &tasks {
-            for (&s, squares) in task.chain.iter().zip(task.squares.chunks_exact(cuts.len().max(1))) {
+        for (portion, part) in portions.iter().zip(&parts) {
+            let squares = part.squares.chunks_exact(cuts.len().max(1));
+            for (&s, squares) in portion.chain.schemes.iter().zip(squares) {
                 found[s].squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
             }
-            task.cut.iter().for_each(|&(s, step, defined)| found[s].defined[step] = defined);
-            rest.extend_from_slice(&task.close);
+            part.cut
+                .iter()
+                .for_each(|(visited, defined)| found[visited.scheme].note(schemes, *visited, *defined));
+            rest.extend_from_slice(&part.close);
         }
-        sweep.rescue(problem, &mut rest, &mut found, pool)?;
+        models.rescue(problem, &mut rest, &mut found, pool)?;
         Ok(found)
     }
 
@@ -285,19 +244,4 @@ fn add_squares<const N: usize>(b: [f64; N], u: &[[f64; N]], v: &[f64], cuts: &[u
         done = cut;
         rest.iter().for_each(|e| *square += e * e);
     }
-}
-
-fn check(schemes: &[Scheme<'_>], rows: &Sets, bound: usize) -> Result<(), Error> {
-    check_indices(rows, bound)?;
-    for scheme in schemes {
-        if let Held::Sets(held) = scheme.held {
-            check_indices(held, rows.len())?;
-        }
-        check_indices(scheme.validated, rows.len())?;
-        expect_length(scheme.validated.len(), scheme.held.len())?;
-        if let Some(&index) = scheme.order.iter().find(|&&pair| pair >= scheme.held.len()) {
-            return Err(Error::Index { index, bound: scheme.held.len() });
-        }
-    }
-    Ok(())
 }

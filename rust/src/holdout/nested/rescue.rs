@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::sweep::{LastPair, Outcome, Sweep, Workspace};
+use super::curves::{AllModels, Outcome, PairCurve, Visited};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
@@ -10,6 +10,7 @@ use crate::fit::linalg::dot;
 use crate::holdout::probes::sign;
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
+use crate::holdout::walk::{LastPair, Workspace};
 use crate::pool::Pool;
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
@@ -18,12 +19,12 @@ const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
 /// Pairs close to rank loss that share matrices, at most.
 const LONGEST_RUN: usize = 64;
 
-impl Sweep<'_> {
+impl AllModels<'_> {
     /// The pairs close to rank loss, in runs that share matrices.
     pub(super) fn rescue(
         &self,
         problem: &Problem<'_>,
-        steps: &mut [(usize, usize)],
+        steps: &mut [Visited],
         found: &mut [Curve],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
@@ -35,21 +36,22 @@ impl Sweep<'_> {
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let failure = OnceLock::new();
         let workspace = || Rescue {
-            sweep: self,
+            models: self,
             problem: self.nested.independent(problem),
             whole,
-            plain: Workspace::new(self),
+            work: Workspace::new(self.ground.rows.len()),
+            curve: PairCurve::new(self.cuts.len()),
             last: LastPair::default(),
             factor: DdFactor::default(),
             refit: Refit::default(),
         };
         let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
         pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
-            rescue.last.clear(self.rows.len());
+            rescue.last.clear(self.ground.rows.len());
             rescue.last.gram.copy_from(whole);
-            for (&(s, step), result) in steps.iter().zip(results) {
-                match rescue.solve((s, self.schemes[s].order[step]), pool) {
-                    Ok(defined) => *result = (rescue.plain.curve.clone(), defined),
+            for (&visited, result) in steps.iter().zip(results) {
+                match rescue.solve(visited, pool) {
+                    Ok(defined) => *result = (rescue.curve.squares.clone(), defined),
                     Err(error) => {
                         let _ = failure.set(error);
                         return;
@@ -57,9 +59,10 @@ impl Sweep<'_> {
                 }
             }
         })?;
-        for (&(s, step), (squares, defined)) in steps.iter().zip(&results) {
-            found[s].defined[step] = *defined;
-            found[s].squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
+        for (&visited, (squares, defined)) in steps.iter().zip(&results) {
+            let found = &mut found[visited.scheme];
+            found.note(self.ground.schemes, visited, *defined);
+            found.squares.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x);
         }
         failure.into_inner().map_or(Ok(()), Err)
     }
@@ -67,10 +70,11 @@ impl Sweep<'_> {
 
 /// What a thread needs for pairs close to rank loss.
 struct Rescue<'a> {
-    sweep: &'a Sweep<'a>,
+    models: &'a AllModels<'a>,
     problem: Problem<'a>,
     whole: &'a DdGram,
-    plain: Workspace,
+    work: Workspace,
+    curve: PairCurve,
     last: LastPair<DdGram>,
     factor: DdFactor,
     refit: Refit,
@@ -78,14 +82,14 @@ struct Rescue<'a> {
 
 impl Rescue<'_> {
     /// Fills the curve of a pair, and tells how many of the models are defined.
-    fn solve(&mut self, pair: (usize, usize), pool: &Pool<'_>) -> Result<usize, Error> {
-        let factor = &self.sweep.nested.factor;
-        self.plain.list_rows(self.sweep, pair);
-        self.plain.curve.fill(0.0);
-        let enough = factor.total_rows >= factor.rank + self.plain.rows.len();
+    fn solve(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<usize, Error> {
+        let factor = self.models.ground.factor;
+        self.work.list_pair(self.models.ground, visited.scheme, visited.pair);
+        self.curve.squares.fill(0.0);
+        let enough = factor.total_rows >= factor.rank + self.work.rows.len();
         if enough && self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
-            match self.plain.cut(self.sweep, &self.factor.upper(), pool) {
-                Outcome::All => return Ok(self.sweep.cuts.len()),
+            match self.curve.cut(self.models, &self.factor.upper(), pool) {
+                Outcome::All => return Ok(self.models.cuts.len()),
                 Outcome::Leading(defined) => return Ok(defined),
                 Outcome::Close => pool.proceed()?,
             }
@@ -93,9 +97,9 @@ impl Rescue<'_> {
         self.refitted(pool)
     }
 
-    /// As `Workspace::primal`, with twice the digits; an estimate of lambda_min(M).
+    /// As `PairCurve::primal`, with twice the digits; an estimate of lambda_min(M).
     fn double_double(&mut self) -> f64 {
-        let Sweep { nested: Nested { factor, right, .. }, cuts, .. } = *self.sweep;
+        let AllModels { nested: Nested { factor, right, .. }, cuts, .. } = *self.models;
         let (rank, responses) = (factor.rank, factor.responses);
         self.update_gram();
         let smallest = self.factor.factor(&self.last.gram);
@@ -105,12 +109,12 @@ impl Rescue<'_> {
         let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
         let forward = self.factor.forward(&signs);
         let grown = dot(forward, forward) - 10.0 * rank as f64;
-        let Workspace { rows, validated, curve, .. } = &mut self.plain;
         for c in 0..responses {
             let projection = self.factor.projection(c).to_vec();
-            for &i in &rows[rows.len() - *validated..] {
+            for &i in &self.work.rows[..self.work.validated] {
                 let u = self.factor.forward(factor.basis_row(i));
-                add_squares([right[i * responses + c]], u.as_chunks().0, &projection, cuts, curve);
+                let squares = &mut self.curve.squares;
+                add_squares([right[i * responses + c]], u.as_chunks().0, &projection, cuts, squares);
             }
         }
         if grown > 0.0 { smallest.min(grown.recip()) } else { smallest }
@@ -118,33 +122,33 @@ impl Rescue<'_> {
 
     /// Turns the matrix into that of the pair at hand.
     fn update_gram(&mut self) {
-        let Self { sweep, plain, last, whole, .. } = self;
-        let factor = &sweep.nested.factor;
-        let Workspace { members, stamps, now, slide, .. } = plain;
-        slide.find(last, members, stamps, *now);
-        if slide.len() > members.len() {
+        let Self { models, work, last, whole, .. } = self;
+        let AllModels { ground, nested, .. } = **models;
+        let change = work.change_from(last);
+        let (added, removed) = (ground.rows_of(&change.added), ground.rows_of(&change.removed));
+        let fetch = |i: usize| (ground.factor.basis_row(i), nested.right_row(i));
+        if added.len() + removed.len() > work.rows.len() {
             last.gram.copy_from(whole);
-            slide.removed.clear();
-            slide.added.clone_from(members);
+            last.gram.change(&work.rows, -1.0, fetch);
+        } else {
+            last.gram.change(&added, -1.0, fetch);
+            last.gram.change(&removed, 1.0, fetch);
         }
-        let fetch = |i: usize| (factor.basis_row(i), sweep.nested.right_row(i));
-        last.gram.change(&sweep.rows_of(&slide.added), -1.0, fetch);
-        last.gram.change(&sweep.rows_of(&slide.removed), 1.0, fetch);
-        last.set_members(members);
+        last.set_members(&work.members[0]);
     }
 
     /// From the training rows themselves.
     fn refitted(&mut self, pool: &Pool<'_>) -> Result<usize, Error> {
-        let Self { sweep, problem, plain, refit, .. } = self;
-        let factor = &sweep.nested.factor;
-        let leading = refit.reduce_leading(factor, problem, pool, &plain.rows)?;
-        let defined = sweep.cuts.partition_point(|&cut| cut <= leading);
-        plain.curve[..defined].fill(0.0);
-        plain.curve[defined..].fill(f64::NAN);
-        for &i in &plain.rows[plain.rows.len() - plain.validated..] {
+        let Self { models, problem, work, refit, .. } = self;
+        let (factor, cuts, squares) = (models.ground.factor, models.cuts, &mut self.curve.squares);
+        let leading = refit.reduce_leading(factor, problem, pool, &work.rows)?;
+        let defined = cuts.partition_point(|&cut| cut <= leading);
+        squares[..defined].fill(0.0);
+        squares[defined..].fill(f64::NAN);
+        for &i in &work.rows[..work.validated] {
             for c in 0..factor.responses {
                 let (b, u, v) = refit.forward_solve(factor, problem, i, c, leading)?;
-                add_squares([b], u.as_chunks().0, v, &sweep.cuts[..defined], &mut plain.curve);
+                add_squares([b], u.as_chunks().0, v, &cuts[..defined], squares);
             }
         }
         Ok(defined)

@@ -4,92 +4,197 @@ pub mod double_double;
 pub(crate) mod refine;
 pub mod refit;
 
+use std::collections::HashMap;
 use std::sync::OnceLock;
 
-use self::refine::{Refiner, refinable};
+use self::refine::{Inverse, NearSingular, Refiner, refinable};
 use self::refit::Refit;
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
-use crate::holdout::pairs::{Pairs, Status, Workspace, unweight};
-use crate::holdout::visit::{Plan, Slot};
+use crate::holdout::plan::costs;
+use crate::holdout::probes::least_eigenvalue;
+use crate::holdout::residuals::{Places, Status, unweight};
+use crate::holdout::walk::{Ground, Workspace};
 use crate::pool::Pool;
 
+/// Sets close to rank loss that share a pass over the basis, and how many numbers their systems may have.
+const BATCH_PAIRS: usize = 16;
+const BATCH_NUMBERS: usize = 4_000_000;
+
+/// A pair that the closed form did not solve, its validated rows, and where its results go.
+pub(super) struct Left<'a> {
+    scheme: usize,
+    pair: usize,
+    rows: Vec<usize>,
+    residuals: &'a mut [f64],
+    status: &'a mut Option<Status>,
+}
+
+impl Left<'_> {
+    fn accept(&mut self, factor: &Factor, status: Status) {
+        unweight(factor, &self.rows, self.residuals);
+        *self.status = Some(status);
+    }
+}
+
 impl Factor {
-    /// Solves the pairs that the closed form did not: refines them in small batches, and refits those for which that is
-    /// not enough, each as a task of its own since it costs far more.
+    /// Solves the pairs that the closed form did not, those together that hold out the same: refines sets in small batches,
+    /// and refits those for which that is not enough, each as a task of its own since it costs far more.
     pub(super) fn rescue(
         &self,
         problem: &Problem<'_>,
-        pairs: &Pairs<'_>,
-        plan: &Plan,
+        ground: &Ground<'_>,
+        places: &Places,
         residuals: &mut [f64],
         status: &mut [Option<Status>],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
-        let mut rest = residuals;
-        let mut left = Vec::new();
-        for (pair, status) in status.iter_mut().enumerate() {
-            let size = (plan.offsets[pair + 1] - plan.offsets[pair]) * self.responses;
-            let (out, after) = rest.split_at_mut(size);
-            rest = after;
-            if status.is_none() {
-                left.push((pair, Slot { residuals: out, status }));
-            }
-        }
+        let mut sets = grouped(ground, places.left(ground, residuals, status));
         let failure = OnceLock::new();
-        let batch = plan.batch(self.rank);
+        let batch = batch(ground);
+        let workspace = || Workspace::new(ground.rows.len());
         pool.run(
-            left.chunks_mut(batch),
-            || (Refiner::default(), (0..batch).map(|_| Workspace::default()).collect::<Vec<_>>()),
-            |(refining, workspaces), batch| {
+            sets.chunks_mut(batch),
+            || (Refiner::default(), (0..batch).map(|_| workspace()).collect::<Vec<_>>()),
+            |(refining, workspaces), sets| {
                 // Once called off, nobody reads the result.
-                let _ = self.refine(plan, pairs, (refining, workspaces), batch, pool);
+                let _ = self.refine(ground, (refining, workspaces), sets, pool);
             },
         )?;
-        left.retain(|(_, slot)| slot.status.is_none());
+        sets.retain(|pairs| pairs[0].status.is_none());
         pool.run(
-            left.into_iter(),
-            || (Refit::default(), Workspace::default()),
-            |(refit, workspace), (pair, slot)| {
-                workspace.list_rows(pairs, &[pair]);
-                let kept = (&workspace.rows[..], workspace.validated);
-                slot.residuals.fill(f64::NAN);
-                match refit.predict(self, problem, pool, kept, slot.residuals) {
-                    Ok(found) => *slot.status = Some(found),
-                    Err(error) => drop(failure.set(error)),
+            sets.into_iter(),
+            || (Refit::default(), workspace()),
+            |(refit, workspace), mut pairs| {
+                workspace.list_pair(ground, pairs[0].scheme, pairs[0].pair);
+                if let Err(error) = self.refit(problem, refit, &workspace.rows, &mut pairs, pool) {
+                    let _ = failure.set(error);
                 }
-                unweight(self, &workspace.rows[..workspace.validated], slot.residuals);
             },
         )?;
         failure.into_inner().map_or(Ok(()), Err)
     }
 
-    /// Refines those of a few pairs that can be refined.
+    /// Refines those of a few sets that can be refined.
     fn refine(
         &self,
-        plan: &Plan,
-        pairs: &Pairs<'_>,
+        ground: &Ground<'_>,
         (refining, workspaces): (&mut Refiner, &mut [Workspace]),
-        batch: &mut [(usize, Slot<'_>)],
+        sets: &mut [Vec<Left<'_>>],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
-        let mut near_singular = Vec::with_capacity(batch.len());
-        let mut status = Vec::with_capacity(batch.len());
-        for (workspace, (pair, slot)) in workspaces.iter_mut().zip(batch) {
-            workspace.list_rows(pairs, &[*pair]);
-            let pair = workspace.near_singular(self, plan.hat.as_ref(), slot.residuals);
-            if refinable(self, pair.least) {
-                near_singular.push(pair);
-                status.push(&mut *slot.status);
+        let mut near_singular = Vec::with_capacity(sets.len());
+        for (workspace, pairs) in workspaces.iter_mut().zip(sets) {
+            workspace.list_pair(ground, pairs[0].scheme, pairs[0].pair);
+            let set = workspace.near_singular(ground, pairs);
+            if refinable(self, set.least) {
+                near_singular.push(set);
             }
         }
         let good = refining.refine(self, pool, &mut near_singular)?;
-        for ((status, pair), good) in status.into_iter().zip(near_singular).zip(good) {
-            if good {
-                unweight(self, &pair.rows[..pair.validated], pair.out);
-                *status = Some(Status::Refined);
+        for set in near_singular.iter_mut().zip(good).filter_map(|(set, good)| good.then_some(set)) {
+            set.pairs.iter_mut().for_each(|pair| pair.accept(self, Status::Refined));
+        }
+        Ok(())
+    }
+
+    /// Refits without the rows that these pairs hold out.
+    fn refit(
+        &self,
+        problem: &Problem<'_>,
+        refit: &mut Refit,
+        rows: &[usize],
+        pairs: &mut [Left<'_>],
+        pool: &Pool<'_>,
+    ) -> Result<(), Error> {
+        let defined = refit.refit(self, problem, pool, rows)?;
+        for pair in pairs {
+            if defined {
+                refit.residuals(self, problem, &pair.rows, pair.residuals)?;
+                pair.accept(self, Status::Refitted);
+            } else {
+                pair.residuals.fill(f64::NAN);
+                *pair.status = Some(Status::Undefined);
             }
         }
         Ok(())
     }
+}
+
+/// Those together that hold out the same data.
+fn grouped<'a>(ground: &Ground<'_>, left: Vec<Left<'a>>) -> Vec<Vec<Left<'a>>> {
+    let mut sets: Vec<Vec<Left<'a>>> = Vec::new();
+    let mut known: HashMap<Vec<usize>, usize> = HashMap::new();
+    for pair in left {
+        let mut held = Vec::new();
+        ground.schemes[pair.scheme].held.members(pair.pair, &mut held);
+        held.sort_unstable();
+        let set = *known.entry(held).or_insert(sets.len());
+        match sets.get_mut(set) {
+            Some(pairs) => pairs.push(pair),
+            None => sets.push(vec![pair]),
+        }
+    }
+    sets
+}
+
+impl Places {
+    /// The pairs that have no status yet.
+    fn left<'a>(
+        &self,
+        ground: &Ground<'_>,
+        residuals: &'a mut [f64],
+        status: &'a mut [Option<Status>],
+    ) -> Vec<Left<'a>> {
+        let (mut rest, mut scheme) = (residuals, 0);
+        let mut left = Vec::new();
+        for (place, status) in status.iter_mut().enumerate() {
+            let size = (self.offsets[place + 1] - self.offsets[place]) * ground.factor.responses;
+            let (out, after) = rest.split_at_mut(size);
+            rest = after;
+            while self.firsts[scheme + 1] <= place {
+                scheme += 1;
+            }
+            if status.is_none() {
+                let pair = place - self.firsts[scheme];
+                let rows = ground.rows_of(ground.schemes[scheme].validated.get(pair));
+                left.push(Left { scheme, pair, rows, residuals: out, status });
+            }
+        }
+        left
+    }
+}
+
+impl Workspace {
+    /// The set at hand with its factored system, for refinement.
+    fn near_singular<'a, 'b>(
+        &'a mut self,
+        ground: &Ground<'_>,
+        pairs: &'a mut [Left<'b>],
+    ) -> NearSingular<'a, 'b> {
+        let Ground { factor, ref hat, .. } = *ground;
+        let q = self.rows.len();
+        let (dual, primal) = costs(q as f64, q as f64, factor.rank, hat.is_some());
+        let least = if dual <= primal {
+            self.fill_dual(factor, hat.as_ref(), q, 0);
+            least_eigenvalue(&mut self.system, q, factor.responses)
+        } else {
+            self.fresh_gram(factor);
+            self.factor_primal(factor, 0, 0)
+        };
+        let Self { system, rows, .. } = self;
+        let inverse = if dual <= primal { Inverse::Dual(system, rows) } else { Inverse::Primal(system) };
+        NearSingular { inverse, least, rows, pairs }
+    }
+}
+
+/// How many sets are refined at once.
+fn batch(ground: &Ground<'_>) -> usize {
+    let Ground { factor, ref hat, rows, schemes } = *ground;
+    let largest = schemes.iter().map(|scheme| scheme.held.largest()).max().unwrap_or(0);
+    let q = largest * factor.rows.div_ceil(rows.len().max(1));
+    let (dual, primal) = costs(q as f64, q as f64, factor.rank, hat.is_some());
+    let terms = if hat.is_some() { 0 } else { factor.rank };
+    let system = if dual <= primal { q * (q + terms) } else { factor.rank * factor.rank };
+    (BATCH_NUMBERS / system.max(1)).clamp(1, BATCH_PAIRS)
 }

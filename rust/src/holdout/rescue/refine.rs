@@ -2,9 +2,11 @@
 //!
 //! `M = I - Q_K^T Q_K` squares singular values, so a small pivot means lost digits: the error of the closed form is about
 //! eps / lambda_min(M). The residuals of the training rows do not lose them, and with the factor of M they correct the
-//! closed form. Several pairs are corrected at once, so that one pass over the basis serves all of them. Where that is
+//! closed form. The correction depends on the held-out set alone, so pairs that hold out the same share it; and several sets are
+//! corrected at once, so that one pass over the basis serves all of them. Where that is
 //! not enough, see [`crate::holdout::rescue::refit`].
 
+use super::Left;
 use crate::error::Error;
 use crate::fit::factor::Factor;
 use crate::fit::linalg::{self, dot};
@@ -21,7 +23,7 @@ const REFINED_MIN_EIGENVALUE: f64 = 1e-8;
 const MOST_STEPS: usize = 4;
 
 /// A factored system that applies the inverse of `M = I - Q_K^T Q_K`.
-pub(crate) enum Inverse<'a> {
+pub(super) enum Inverse<'a> {
     /// The factor of M.
     Primal(&'a mut Bordered),
     /// That of `S = I - Q_K Q_K^T`, and the rows K: `M^-1 = I + Q_K^T S^-1 Q_K`.
@@ -43,23 +45,22 @@ impl Inverse<'_> {
     }
 }
 
-/// A pair close to rank loss.
-pub(crate) struct NearSingular<'a> {
-    pub inverse: Inverse<'a>,
+/// A held-out set close to rank loss, and the pairs that hold it out.
+pub(super) struct NearSingular<'a, 'b> {
+    pub(super) inverse: Inverse<'a>,
     /// An estimate of lambda_min(M).
-    pub least: f64,
-    /// Held-out rows, those that are validated first.
-    pub rows: &'a [usize],
-    pub validated: usize,
-    pub out: &'a mut [f64],
+    pub(super) least: f64,
+    /// Held-out rows.
+    pub(super) rows: &'a [usize],
+    pub(super) pairs: &'a mut [Left<'b>],
 }
 
 /// Workspace of the refinement.
 #[derive(Default)]
-pub(crate) struct Refiner {
-    /// Pairs refined at once.
+pub(super) struct Refiner {
+    /// Sets refined at once.
     width: usize,
-    /// One vector a pair: rank x width, column-major.
+    /// One vector a set: rank x width, column-major.
     changes: Vec<f64>,
     gradients: Vec<f64>,
     part: Vec<f64>,
@@ -68,15 +69,15 @@ pub(crate) struct Refiner {
 
 impl Refiner {
     /// Solves `M d = Q_-K^T (e_-K - Q_-K change)`, `change += d`, until only rounding is left. Writes weighted residuals
-    /// of the validated rows, and tells for which pairs they are accurate.
-    pub fn refine(
+    /// of the validated rows, and tells for which sets they are accurate.
+    pub(super) fn refine(
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        pairs: &mut [NearSingular<'_>],
+        sets: &mut [NearSingular<'_, '_>],
     ) -> Result<Vec<bool>, Error> {
-        let (rank, size) = (factor.rank, factor.rank * pairs.len());
-        self.width = pairs.len();
+        let (rank, size) = (factor.rank, factor.rank * sets.len());
+        self.width = sets.len();
         self.gradients.resize(size, 0.0);
         self.part.resize(size, 0.0);
         self.rest.resize(PASS_ROWS * self.width, 0.0);
@@ -84,11 +85,13 @@ impl Refiner {
         for c in 0..factor.responses {
             self.changes.clear();
             self.changes.resize(size, 0.0);
-            self.refine_response(factor, pool, pairs, c, &mut good)?;
-            for (pair, change) in pairs.iter_mut().zip(self.changes.chunks_exact(rank)) {
-                let rows = pair.rows[..pair.validated].iter();
-                for (e, &row) in pair.out.iter_mut().skip(c).step_by(factor.responses).zip(rows) {
-                    *e = factor.residual_row(row)[c] - dot(factor.basis_row(row), change);
+            self.refine_response(factor, pool, sets, c, &mut good)?;
+            for (set, change) in sets.iter_mut().zip(self.changes.chunks_exact(rank)) {
+                for pair in &mut *set.pairs {
+                    let out = pair.residuals.iter_mut().skip(c).step_by(factor.responses);
+                    for (e, &row) in out.zip(&pair.rows) {
+                        *e = factor.residual_row(row)[c] - dot(factor.basis_row(row), change);
+                    }
                 }
             }
         }
@@ -99,7 +102,7 @@ impl Refiner {
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        pairs: &mut [NearSingular<'_>],
+        sets: &mut [NearSingular<'_, '_>],
         c: usize,
         good: &mut [bool],
     ) -> Result<(), Error> {
@@ -109,21 +112,21 @@ impl Refiner {
         // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
         for &s in &open {
             let change = &mut self.changes[s * rank..(s + 1) * rank];
-            for &row in pairs[s].rows {
+            for &row in sets[s].rows {
                 let e = factor.residual_row(row)[c];
                 change.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
             }
-            pairs[s].inverse.apply(factor, change);
+            sets[s].inverse.apply(factor, change);
             before[s] = dot(change, change);
         }
         for _ in 0..MOST_STEPS {
             if open.is_empty() {
                 return Ok(());
             }
-            self.descend(factor, pool, pairs, c)?;
+            self.descend(factor, pool, sets, c)?;
             open.retain(|&s| {
                 let step = &mut self.gradients[s * rank..(s + 1) * rank];
-                pairs[s].inverse.apply(factor, step);
+                sets[s].inverse.apply(factor, step);
                 let change = &mut self.changes[s * rank..(s + 1) * rank];
                 change.iter_mut().zip(&*step).for_each(|(x, d)| *x += d);
                 let (length, whole) = (dot(step, step), dot(change, change));
@@ -137,12 +140,12 @@ impl Refiner {
         Ok(())
     }
 
-    /// The gradients `Q_-K^T (e_-K - Q_-K change)` of all pairs, in one pass over the basis.
+    /// The gradients `Q_-K^T (e_-K - Q_-K change)` of all sets, in one pass over the basis.
     fn descend(
         &mut self,
         factor: &Factor,
         pool: &Pool<'_>,
-        pairs: &[NearSingular<'_>],
+        sets: &[NearSingular<'_, '_>],
         c: usize,
     ) -> Result<(), Error> {
         let (rank, width) = (factor.rank, self.width);
@@ -157,8 +160,8 @@ impl Refiner {
                 rest.iter_mut().for_each(|x| *x = e - *x);
             }
             let rows = first..first + basis.len() / rank;
-            for (s, pair) in pairs.iter().enumerate() {
-                for row in pair.rows.iter().filter(|row| rows.contains(row)) {
+            for (s, set) in sets.iter().enumerate() {
+                for row in set.rows.iter().filter(|row| rows.contains(row)) {
                     rest[(row - first) * width + s] = 0.0;
                 }
             }
@@ -169,9 +172,9 @@ impl Refiner {
     }
 }
 
-/// Whether a pair can be refined and its training rows are of full rank beyond doubt. Their singular values are at
+/// Whether a set can be refined and its training rows are of full rank beyond doubt. Their singular values are at
 /// least those of the design times the square root of lambda_min(M); its estimate may be a hundred times too large.
-pub(crate) fn refinable(factor: &Factor, least: f64) -> bool {
+pub(super) fn refinable(factor: &Factor, least: f64) -> bool {
     let bound = factor.least * (REFINED_MIN_EIGENVALUE / 100.0).sqrt();
     least > REFINED_MIN_EIGENVALUE && bound > factor.tolerance * (factor.columns as f64).sqrt()
 }

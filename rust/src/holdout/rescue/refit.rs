@@ -7,7 +7,6 @@ use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
 use crate::fit::linalg::{self, QrScratch, dot};
 use crate::fit::rank::{leading_rank, numerical_rank};
-use crate::holdout::pairs::Status;
 use crate::pool::Pool;
 
 /// Training rows reduced at a time.
@@ -28,28 +27,38 @@ pub struct Refit {
 }
 
 impl Refit {
-    /// Predicts without `rows`, and writes the weighted residuals of the first `validated` of them.
-    pub(crate) fn predict(
+    /// Refits without `rows`; false if the others have lost rank.
+    pub(super) fn refit(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
         pool: &Pool<'_>,
-        (rows, validated): (&[usize], usize),
-        out: &mut [f64],
-    ) -> Result<Status, Error> {
+        rows: &[usize],
+    ) -> Result<bool, Error> {
         self.reduce(factor, problem, pool, rows)?;
-        if self.rank(factor, pool)? < factor.rank {
-            return Ok(Status::Undefined);
+        let defined = self.rank(factor, pool)? == factor.rank;
+        if defined {
+            self.solve(factor);
         }
-        self.solve(factor);
-        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(&rows[..validated]) {
+        Ok(defined)
+    }
+
+    /// The weighted residuals of rows under the last refit.
+    pub(super) fn residuals(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        rows: &[usize],
+        out: &mut [f64],
+    ) -> Result<(), Error> {
+        for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
             factor.full_rank_row(problem, row, &mut self.row)?;
             let (left, right) = self.row.split_at(factor.rank);
             for ((e, b), change) in e.iter_mut().zip(right).zip(self.change.chunks_exact(factor.rank)) {
                 *e = b - dot(left, change);
             }
         }
-        Ok(Status::Refitted)
+        Ok(())
     }
 
     /// `((I - H_KK)^-1)_TT = I + X_T (X_-K^T X_-K)^-1 X_T^T` of the first `validated` of the held-out rows, row-major;

@@ -1,0 +1,197 @@
+//! The scores of all leading models: what is asked of every pair of a sweep.
+
+use super::dual::Dual;
+use super::{Nested, add_squares};
+use crate::fit::linalg::{self, dot};
+use crate::fit::rank::leading_rank;
+use crate::holdout::kernel::Bordered;
+use crate::holdout::probes::{PROBES, sign};
+use crate::holdout::walk::{Ground, Question, Visit, Workspace};
+use crate::pool::Pool;
+
+/// Below this lambda_min(M) a pair needs twice the digits.
+const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
+
+/// Above this lambda_min(M) the training rows have the rank of the design; below, those of an ill-conditioned one may not.
+pub(super) const CERTAIN_MIN_EIGENVALUE: f64 = 1e-5;
+
+/// Validated rows solved for together.
+const CARRIED_ROWS: usize = 64;
+
+/// A pair that was visited.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Visited {
+    pub(super) scheme: usize,
+    pub(super) step: usize,
+    pub(super) pair: usize,
+}
+
+impl Visited {
+    fn new(at: Visit<'_>) -> Self {
+        Self { scheme: at.chain.schemes[at.k], step: at.step, pair: at.chain.pair(at.step) }
+    }
+}
+
+/// For which models the closed form solved a pair.
+pub(super) enum Outcome {
+    All,
+    /// This many models are defined, and no more.
+    Leading(usize),
+    /// None: too close to rank loss for this arithmetic.
+    Close,
+}
+
+/// What all portions read.
+pub(super) struct AllModels<'a> {
+    pub(super) ground: &'a Ground<'a>,
+    pub(super) nested: &'a Nested,
+    pub(super) cuts: &'a [usize],
+}
+
+/// Sums of squared residuals on a portion of the way.
+pub(super) struct Scores {
+    /// Chain x cuts.
+    pub(super) squares: Vec<f64>,
+    /// Number of defined models where these are not all.
+    pub(super) cut: Vec<(Visited, usize)>,
+    /// Those close to rank loss.
+    pub(super) close: Vec<Visited>,
+    curve: PairCurve,
+    dual: Dual,
+}
+
+impl Scores {
+    pub(super) fn new(schemes: usize, cuts: usize) -> Self {
+        Self {
+            squares: vec![0.0; schemes * cuts],
+            cut: Vec::new(),
+            close: Vec::new(),
+            curve: PairCurve::new(cuts),
+            dual: Dual::default(),
+        }
+    }
+
+    fn note(&mut self, at: Visit<'_>, outcome: &Outcome) {
+        let cuts = self.curve.squares.len();
+        if let Outcome::All | Outcome::Leading(_) = outcome {
+            let sums = &mut self.squares[at.k * cuts..(at.k + 1) * cuts];
+            sums.iter_mut().zip(&self.curve.squares).for_each(|(sum, x)| *sum += x);
+        }
+        match *outcome {
+            Outcome::All => {}
+            Outcome::Leading(defined) => self.cut.push((Visited::new(at), defined)),
+            Outcome::Close => self.close.push(Visited::new(at)),
+        }
+    }
+}
+
+impl Question for AllModels<'_> {
+    type Answer = Scores;
+
+    fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &mut Scores) -> usize {
+        0
+    }
+
+    fn dual(&self, work: &mut Workspace, at: Visit<'_>, primal: f64, answer: &mut Scores) -> bool {
+        let factor = self.ground.factor;
+        let (q, p) = (work.rows.len() as f64, factor.rank as f64);
+        answer.curve.squares.fill(0.0);
+        let outcome = if work.rows.is_empty() {
+            Outcome::All
+        } else if factor.total_rows < factor.rank + work.rows.len() {
+            Outcome::Close
+        } else if 4.0 * q * q * p <= primal + p * p
+            && answer.dual.solve(
+                self.nested,
+                self.cuts,
+                (&work.rows, work.validated),
+                &mut answer.curve.squares,
+            )
+        {
+            Outcome::All
+        } else {
+            return false;
+        };
+        answer.note(at, &outcome);
+        true
+    }
+
+    fn primal(&self, work: &mut Workspace, at: Visit<'_>, pool: &Pool<'_>, answer: &mut Scores) {
+        let known = work.factored.filter(|&(k, _)| k == at.k).map(|(_, least)| least);
+        let least = known.unwrap_or_else(|| work.factor_primal(self.ground.factor, at.k, 0));
+        let validated = &work.rows[..work.validated];
+        let outcome = answer.curve.primal(self, &mut work.system, least, validated, pool);
+        answer.note(at, &outcome);
+    }
+}
+
+/// Squared prediction residuals of one pair.
+pub(super) struct PairCurve {
+    /// One a cut.
+    pub(super) squares: Vec<f64>,
+    forward: Vec<f64>,
+}
+
+impl PairCurve {
+    pub(super) fn new(cuts: usize) -> Self {
+        Self { squares: vec![0.0; cuts], forward: Vec::new() }
+    }
+
+    /// By the factor of the pair's matrix, which has this smallest eigenvalue.
+    fn primal(
+        &mut self,
+        models: &AllModels<'_>,
+        system: &mut Bordered,
+        least: f64,
+        validated: &[usize],
+        pool: &Pool<'_>,
+    ) -> Outcome {
+        let factor = models.ground.factor;
+        let (rank, responses) = (factor.rank, factor.responses);
+        if least < PLAIN_MIN_EIGENVALUE {
+            return Outcome::Close;
+        }
+        let Self { squares, forward } = self;
+        squares.fill(0.0);
+        for rows in validated.chunks(CARRIED_ROWS) {
+            system.carry(rows.iter().map(|&i| factor.basis_row(i)));
+            for c in 0..responses {
+                system.forward_row(c, forward);
+                system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
+                for (panel, rows) in system.carried().chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
+                    let mut b = [0.0; 8];
+                    b.iter_mut().zip(rows).for_each(|(b, &i)| *b = models.nested.right_row(i)[c]);
+                    add_squares(b, panel, forward, models.cuts, squares);
+                }
+            }
+        }
+        if least > CERTAIN_MIN_EIGENVALUE { Outcome::All } else { self.cut(models, &system.upper(), pool) }
+    }
+
+    /// Which models the training rows determine, by their triangle `L^T R`, given L^T.
+    pub(super) fn cut(&mut self, models: &AllModels<'_>, upper: &[f64], pool: &Pool<'_>) -> Outcome {
+        let factor = models.ground.factor;
+        let (rank, cuts) = (factor.rank, models.cuts);
+        let lost = factor.tolerance * (rank as f64).sqrt();
+        let safe = (0..PROBES).all(|probe| {
+            let mut x: Vec<f64> = (0..rank).map(|j| sign(probe, j)).collect();
+            linalg::solve_upper(upper, rank, rank, &mut x, 1);
+            linalg::solve_upper(&factor.triangle, rank, rank, &mut x, 1);
+            // An estimate of the inverse's norm, give or take a factor of ten.
+            10.0 * lost * dot(&x, &x).sqrt() < 1.0
+        });
+        if safe {
+            return Outcome::All;
+        }
+        let triangle = linalg::product(upper, &factor.triangle, rank, rank, rank);
+        match leading_rank(&triangle, rank, factor.tolerance, pool) {
+            Ok(count) if count == rank => Outcome::All,
+            Ok(count) => {
+                let defined = cuts.partition_point(|&cut| cut <= count);
+                self.squares[defined..].fill(f64::NAN);
+                Outcome::Leading(defined)
+            }
+            Err(_) => Outcome::Close,
+        }
+    }
+}

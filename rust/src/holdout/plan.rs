@@ -1,0 +1,154 @@
+//! Which pairs are visited together, and in what portions. It depends on the problem alone, never on the number of threads:
+//! so do the results.
+
+use std::ops::Range;
+
+use crate::fit::factor::Factor;
+use crate::holdout::hat::HAT_ROWS;
+use crate::holdout::scheme::{Held, Scheme};
+use crate::sets::Sets;
+
+/// Multiply-adds of a portion, so that none delays an interrupt.
+const PORTION_COST: f64 = 1e9;
+
+/// Portions of a chain, and the steps that one has if neighbours share their matrices: only its first forms one afresh.
+const PORTIONS: usize = 32;
+const SHARING_STEPS: usize = 8;
+
+/// Schemes that validate the same data in the same order, those that hold out less first: balls around a datum nest.
+pub(super) struct Chain<'a> {
+    pub(super) schemes: Vec<usize>,
+    pub(super) order: Option<&'a [usize]>,
+    pub(super) length: usize,
+}
+
+impl Chain<'_> {
+    /// The pair that is visited at a step.
+    pub(super) fn pair(&self, step: usize) -> usize {
+        self.order.map_or(step, |order| order[step])
+    }
+}
+
+/// Successive steps of a chain.
+pub(super) struct Portion<'a> {
+    pub(super) chain: &'a Chain<'a>,
+    pub(super) steps: Range<usize>,
+}
+
+/// All schemes in chains.
+pub(super) fn chains<'a>(schemes: &[Scheme<'a>]) -> Vec<Chain<'a>> {
+    let mut chains: Vec<Chain<'a>> = Vec::new();
+    for (s, scheme) in schemes.iter().enumerate() {
+        let alike = |chain: &&mut Chain<'a>| {
+            let first = &schemes[chain.schemes[0]];
+            let same_order = chain.order == scheme.order || chain.order.is_none() || scheme.order.is_none();
+            let whole =
+                |order: Option<&[usize]>| order.is_none_or(|order| order.len() == scheme.validated.len());
+            first.validated == scheme.validated
+                && same_order
+                && (chain.order == scheme.order || (whole(chain.order) && whole(scheme.order)))
+        };
+        match chains.iter_mut().find(alike) {
+            Some(chain) => {
+                chain.schemes.push(s);
+                chain.order = chain.order.or(scheme.order);
+            }
+            None => chains.push(Chain { schemes: vec![s], order: scheme.order, length: scheme.steps() }),
+        }
+    }
+    for chain in &mut chains {
+        chain.schemes.sort_by(|&s, &t| schemes[s].held.mean().total_cmp(&schemes[t].held.mean()));
+    }
+    chains
+}
+
+/// All chains in portions.
+pub(super) fn portions<'a>(
+    chains: &'a [Chain<'a>],
+    schemes: &[Scheme<'_>],
+    factor: &Factor,
+    rows: &Sets,
+) -> Vec<Portion<'a>> {
+    let p = factor.rank as f64;
+    let coupling = factor.rows as f64 / rows.len().max(1) as f64;
+    let mut portions = Vec::new();
+    for chain in chains {
+        let shared = chain.order.is_some();
+        let cost = |&s: &usize| {
+            let mean = schemes[s].held.mean();
+            p * p * (p / 6.0 + coupling * if shared { rim(mean) } else { mean } / 2.0)
+        };
+        let most = (PORTION_COST / chain.schemes.iter().map(cost).sum::<f64>().max(1.0)) as usize;
+        let least = if shared { SHARING_STEPS } else { 1 };
+        let steps = (chain.length / PORTIONS).max(least).min(most).max(1);
+        let firsts = (0..chain.length).step_by(steps);
+        portions.extend(firsts.map(|first| Portion { chain, steps: first..chain.length.min(first + steps) }));
+    }
+    portions
+}
+
+/// About how many members a neighbourhood does not share with the next: those along its rim.
+pub(super) fn rim(members: f64) -> f64 {
+    members.min(3.0 * members.sqrt())
+}
+
+/// Multiply-adds of the dual and of the primal for q rows, `changed` of which the matrix at hand does not have yet.
+pub(super) fn costs(q: f64, changed: f64, rank: usize, hat: bool) -> (f64, f64) {
+    let p = rank as f64;
+    let gram = if hat { q } else { q * p / 2.0 };
+    (q * gram + q * q * q / 6.0, changed * p * p / 2.0 + p * p * p / 6.0)
+}
+
+/// How many of the smaller sets of a chain are solved by one dual factorisation (one alone, too, if that is the cheaper way
+/// for it), and the multiply-adds of all.
+pub(super) fn lead(sizes: &[f64], shared: bool, rank: usize, hat: bool) -> (usize, f64) {
+    let alone = |q: f64| {
+        let (dual, primal) = costs(q, if shared { rim(q) } else { q }, rank, hat);
+        (dual.min(primal), dual)
+    };
+    let total: f64 = sizes.iter().map(|&q| alone(q).0).sum();
+    let (mut apart, mut best) = (0.0, (0, total));
+    for (k, &q) in sizes.iter().enumerate() {
+        let (cheapest, dual) = alone(q);
+        apart += cheapest;
+        if total - apart + dual <= best.1 {
+            best = (k + 1, total - apart + dual);
+        }
+    }
+    best
+}
+
+/// Whether it pays to compute the whole hat matrix.
+pub(super) fn hat_pays(chains: &[Chain<'_>], schemes: &[Scheme<'_>], factor: &Factor, rows: &Sets) -> bool {
+    if factor.rows > HAT_ROWS || schemes.iter().any(|scheme| matches!(scheme.held, Held::Lazy(_))) {
+        return false;
+    }
+    let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
+    let (mut with, mut without) = (whole, 0.0);
+    for chain in chains {
+        for step in 0..chain.length {
+            let size = |&s: &usize| match schemes[s].held {
+                Held::Sets(held) => {
+                    held.get(chain.pair(step)).iter().map(|&d| rows.get(d).len()).sum::<usize>() as f64
+                }
+                Held::Lazy(_) => 0.0,
+            };
+            let sizes: Vec<f64> = chain.schemes.iter().map(size).collect();
+            with += lead(&sizes, chain.order.is_some(), factor.rank, true).1;
+            without += lead(&sizes, chain.order.is_some(), factor.rank, false).1;
+        }
+    }
+    with < without
+}
+
+/// The data in the order in which pairs validate them.
+pub(super) fn visits<'a>(
+    chains: &'a [Chain<'_>],
+    schemes: &'a [Scheme<'_>],
+) -> impl Iterator<Item = usize> + 'a {
+    let validated = |chain: &'a Chain<'_>, step| schemes[chain.schemes[0]].validated.get(chain.pair(step));
+    chains
+        .iter()
+        .flat_map(move |chain| (0..chain.length).flat_map(move |step| validated(chain, step)))
+        .copied()
+}

@@ -1,0 +1,259 @@
+//! Prediction residuals of held-out pairs, equation (6): `e_(K) = (I - H_KK)^-1 e_K`, for the validated rows alone.
+//!
+//! With q held-out rows and rank p, a pair is solved in the smaller of two spaces. The *dual* factors
+//! `I - Q_K Q_K^T` (q x q), see [`crate::holdout::dual`]. The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with
+//! `M = I - Q_K^T Q_K` (p x p), which neighbouring pairs share, see [`crate::holdout::walk`]. Both are a factorisation by
+//! [`Bordered`](crate::holdout::kernel::Bordered). A smallest eigenvalue near zero says that the training rows barely
+//! determine the model: see [`crate::holdout::rescue`].
+
+use crate::error::Error;
+use crate::fit::factor::{Factor, Problem};
+use crate::fit::linalg::dot;
+use crate::holdout::hat::Hat;
+use crate::holdout::plan::{self, Portion, costs, lead};
+use crate::holdout::probes::PROBES;
+use crate::holdout::scheme::{Scheme, check_indices};
+use crate::holdout::walk::{Ground, Question, Visit, Workspace, walk};
+use crate::pool::Pool;
+use crate::sets::Sets;
+
+/// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
+pub(super) const MOST_CARRIED: usize = 4;
+
+/// What became of a pair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// The closed form holds.
+    Closed,
+    /// Close to rank loss; the closed form was refined on the training rows.
+    Refined,
+    /// Closer still; the training rows were refitted.
+    Refitted,
+    /// The training rows have lower rank than all rows: no prediction exists.
+    Undefined,
+}
+
+/// Predictions of every pair, scheme after scheme.
+pub struct Predictions {
+    /// Prediction residuals of the validated rows in the responses' unit, row-major; NaN where undefined.
+    pub residuals: Vec<f64>,
+    /// The validated rows, pair after pair.
+    pub rows: Vec<usize>,
+    /// Where each pair starts in `rows`; one more than the pairs.
+    pub offsets: Vec<usize>,
+    /// One a pair.
+    pub status: Vec<Status>,
+}
+
+impl Factor {
+    /// Predicts the validated rows of every pair with its held-out rows left out of the fit. `problem` is the one that
+    /// was factored: pairs close to rank loss go back to it. `rows` are those of each datum.
+    pub fn predict(
+        &self,
+        problem: &Problem<'_>,
+        schemes: &[Scheme<'_>],
+        rows: &Sets,
+        pool: &Pool<'_>,
+    ) -> Result<Predictions, Error> {
+        check_indices(rows, self.rows)?;
+        schemes.iter().try_for_each(|scheme| scheme.check(rows))?;
+        let chains = plan::chains(schemes);
+        let mut ground = Ground { factor: self, schemes, rows, hat: None };
+        if plan::hat_pays(&chains, schemes, self, rows) {
+            ground.hat = Some(Hat::new(self, rows, plan::visits(&chains, schemes), pool)?);
+        }
+        let portions = plan::portions(&chains, schemes, self, rows);
+        let mut found: Vec<Residuals> = portions.iter().map(|_| Residuals::default()).collect();
+        walk(&ground, &LastModel(&ground), &portions, &mut found, pool)?;
+        let places = Places::new(schemes, rows);
+        let count = places.offsets.len() - 1;
+        let mut residuals = vec![f64::NAN; places.offsets[count] * self.responses];
+        let mut status = vec![None; count];
+        for (portion, part) in portions.iter().zip(found) {
+            pool.proceed()?;
+            places.put(portion, part, self.responses, &mut residuals, &mut status);
+        }
+        self.rescue(problem, &ground, &places, &mut residuals, &mut status, pool)?;
+        let status = status.into_iter().map(|s| s.unwrap_or(Status::Undefined)).collect();
+        let validated = schemes.iter().flat_map(|scheme| &scheme.validated.items);
+        let listed = validated.flat_map(|&datum| rows.get(datum)).copied().collect();
+        Ok(Predictions { residuals, rows: listed, offsets: places.offsets, status })
+    }
+}
+
+/// Where the results of every pair go.
+pub(super) struct Places {
+    /// Pairs before each scheme; one more than the schemes.
+    pub(super) firsts: Vec<usize>,
+    /// Validated rows before each pair; one more than the pairs.
+    pub(super) offsets: Vec<usize>,
+}
+
+impl Places {
+    fn new(schemes: &[Scheme<'_>], rows: &Sets) -> Self {
+        let (mut firsts, mut offsets) = (vec![0], vec![0]);
+        let mut end = 0;
+        for scheme in schemes {
+            for pair in 0..scheme.validated.len() {
+                end += scheme.validated.get(pair).iter().map(|&datum| rows.get(datum).len()).sum::<usize>();
+                offsets.push(end);
+            }
+            firsts.push(offsets.len() - 1);
+        }
+        Self { firsts, offsets }
+    }
+
+    /// Puts what a portion found in the order of the pairs.
+    fn put(
+        &self,
+        portion: &Portion<'_>,
+        found: Residuals,
+        responses: usize,
+        residuals: &mut [f64],
+        status: &mut [Option<Status>],
+    ) {
+        let visits = portion.steps.clone().map(|step| portion.chain.pair(step));
+        let pairs = visits.flat_map(|pair| portion.chain.schemes.iter().map(move |&s| self.firsts[s] + pair));
+        let mut values = &found.values[..];
+        for (pair, found) in pairs.zip(found.status) {
+            let place = self.offsets[pair] * responses..self.offsets[pair + 1] * responses;
+            let (mine, rest) = values.split_at(place.len());
+            residuals[place].copy_from_slice(mine);
+            values = rest;
+            status[pair] = found;
+        }
+    }
+}
+
+/// The prediction residuals of the model of all columns.
+struct LastModel<'a>(&'a Ground<'a>);
+
+/// Residuals and status of pairs, in the order of the walk: the pairs of a step one after another.
+#[derive(Default)]
+struct Residuals {
+    values: Vec<f64>,
+    status: Vec<Option<Status>>,
+}
+
+impl Residuals {
+    /// Accepts the solution of the k-th of the last `pairs` pairs, unless it is too close to rank loss.
+    fn accept(&mut self, factor: &Factor, work: &Workspace, (k, pairs): (usize, usize), least: f64) {
+        if least >= factor.closed_form_least() {
+            let (out, status) = self.slot(factor, work, (k, pairs));
+            unweight(factor, &work.rows[..work.validated], out);
+            *status = Some(Status::Closed);
+        }
+    }
+
+    fn slot(
+        &mut self,
+        factor: &Factor,
+        work: &Workspace,
+        (k, pairs): (usize, usize),
+    ) -> (&mut [f64], &mut Option<Status>) {
+        let block = work.validated * factor.responses;
+        let end = self.values.len() - (pairs - 1 - k) * block;
+        let last = self.status.len() - (pairs - k);
+        (&mut self.values[end - block..end], &mut self.status[last])
+    }
+}
+
+impl LastModel<'_> {
+    /// Rows of data.
+    fn size(&self, data: &[usize]) -> usize {
+        data.iter().map(|&datum| self.0.rows.get(datum).len()).sum()
+    }
+}
+
+impl Question for LastModel<'_> {
+    type Answer = Residuals;
+
+    fn together(&self, work: &mut Workspace, at: Visit<'_>, answer: &mut Residuals) -> usize {
+        let (factor, hat, pairs) = (self.0.factor, self.0.hat.as_ref(), at.chain.schemes.len());
+        let validated = self.0.validated(at);
+        let block = self.size(validated) * factor.responses;
+        answer.values.resize(answer.values.len() + pairs * block, f64::NAN);
+        answer.status.resize(answer.status.len() + pairs, None);
+        if pairs == 1 || block > MOST_CARRIED * factor.responses {
+            return 0;
+        }
+        let sizes: Vec<f64> = work.members[..pairs].iter().map(|data| self.size(data) as f64).collect();
+        let count = lead(&sizes, at.chain.order.is_some(), factor.rank, hat.is_some()).0;
+        if count < 2 || !work.list(self.0, validated, 0..count) {
+            return 0;
+        }
+        let ends = std::mem::take(&mut work.ends);
+        let possible = ends.partition_point(|&q| factor.rank + q <= factor.total_rows);
+        let start = answer.values.len() - pairs * block;
+        let solved = possible == 0 || work.dual(factor, hat, &ends[..possible], &mut answer.values[start..]);
+        work.ends = ends;
+        if !solved {
+            return 0;
+        }
+        for k in 0..possible {
+            answer.accept(factor, work, (k, pairs), work.least[k]);
+        }
+        for k in possible..count {
+            *answer.slot(factor, work, (k, pairs)).1 = Some(Status::Undefined);
+        }
+        count
+    }
+
+    fn dual(&self, work: &mut Workspace, at: Visit<'_>, primal: f64, answer: &mut Residuals) -> bool {
+        let (factor, hat, q) = (self.0.factor, self.0.hat.as_ref(), work.rows.len());
+        let place = (at.k, at.chain.schemes.len());
+        let (out, status) = answer.slot(factor, work, place);
+        if factor.rank + q > factor.total_rows {
+            *status = Some(Status::Undefined);
+            return true;
+        }
+        let least = match q {
+            0 => f64::INFINITY,
+            1 => work.unrolled::<1>(factor, out),
+            2 => work.unrolled::<2>(factor, out),
+            3 => work.unrolled::<3>(factor, out),
+            q => {
+                if costs(q as f64, 0.0, factor.rank, hat.is_some()).0 > primal {
+                    return false;
+                }
+                if work.dual(factor, hat, &[q], out) { work.least[0] } else { 0.0 }
+            }
+        };
+        answer.accept(factor, work, place, least);
+        true
+    }
+
+    fn primal(&self, work: &mut Workspace, at: Visit<'_>, _: &Pool<'_>, answer: &mut Residuals) {
+        let factor = self.0.factor;
+        let responses = factor.responses;
+        let validated = work.validated;
+        let known = work.factored.filter(|&(k, _)| k == at.k).map(|(_, least)| least);
+        let riding = if known.is_none() && validated <= MOST_CARRIED { validated } else { 0 };
+        let least = known.unwrap_or_else(|| work.factor_primal(factor, at.k, riding));
+        if least < factor.closed_form_least() {
+            return;
+        }
+        let place = (at.k, at.chain.schemes.len());
+        let out = answer.slot(factor, work, place).0;
+        for c in 0..responses {
+            // The border came out as y = -L^-1 Q_K^T e_K, and rows that rode along as u = L^-1 q.
+            let z = if riding < validated { work.system.back_solve(c, 0) } else { &[] };
+            for (k, &row) in work.rows[..validated].iter().enumerate() {
+                out[k * responses + c] = dot(factor.basis_row(row), z);
+            }
+            let forward = (0..riding).map(|k| work.system.forward_products(c, responses + PROBES + k).sum());
+            out.iter_mut().skip(c).step_by(responses).zip(forward).for_each(|(e, change)| *e = change);
+            for (k, &row) in work.rows[..validated].iter().enumerate() {
+                out[k * responses + c] = factor.residual_row(row)[c] - out[k * responses + c];
+            }
+        }
+        answer.accept(factor, work, place, least);
+    }
+}
+
+/// Brings residuals of rows from weighted to plain units.
+pub(super) fn unweight(factor: &Factor, rows: &[usize], out: &mut [f64]) {
+    for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
+        e.iter_mut().for_each(|e| *e *= factor.unweight(row));
+    }
+}
