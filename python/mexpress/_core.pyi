@@ -13,6 +13,7 @@ __all__ = [
     "LazyNeighbourhoods",
     "LocalFunctions",
     "Nested",
+    "PenaltyPath",
     "find_not_finite",
     "hilbert_order",
     "lloyd",
@@ -36,15 +37,6 @@ class Factor:
         root_weights: _Floats | None,
         penalty: _Floats,
         threads: int,
-    ) -> Factor: ...
-    @staticmethod
-    def orthonormal(
-        design: _Floats,
-        responses: _Floats,
-        penalty: _Floats,
-        threads: int,
-        root_weights: _Floats | None = None,
-        source: tuple[_Floats, _Floats] | None = None,
     ) -> Factor: ...
     @property
     def rank(self) -> int: ...
@@ -102,6 +94,22 @@ class LazyNeighbourhoods:
     def nearest(points: _Floats, k: int) -> LazyNeighbourhoods: ...
     @property
     def mean(self) -> float: ...
+
+@final
+class PenaltyPath:
+    def __new__(
+        cls,
+        design: _Floats,
+        responses: _Floats,
+        root_weights: _Floats | None,
+        penalty: _Floats,
+        threads: int,
+    ) -> PenaltyPath: ...
+    @property
+    def determined(self) -> bool: ...
+    @property
+    def rank(self) -> int: ...
+    def fit(self, weight: float, threads: int) -> tuple[Factor, _Floats]: ...
 
 def find_not_finite(values: _Floats) -> tuple[int, int] | None: ...
 def hilbert_order(points: _Floats) -> _Integers: ...

@@ -234,6 +234,11 @@ LONG = {
         A, b, Z = rng.normal(size=(200, 150)), rng.normal(size=200), rng.normal(size=(300_000, 150))
         call = lambda: mx.LeastSquares(A, b, penalty=Z, threads=2)
     """,
+    "all weights of a penalty": """
+        from mexpress.leastsquares.penalty_path import PenaltyPath
+        A, b, Z = rng.normal(size=(4_000, 900)), rng.normal(size=4_000), rng.normal(size=(900, 900))
+        call = lambda: PenaltyPath(A, b, 1, Z, threads=2)
+    """,
     "a triangulation": """
         points = rng.uniform(size=(500_000, 2))
         call = lambda: mx.schemes.delaunay(points)

@@ -779,6 +779,6 @@ def test_rows_of_zeros_are_not_taken_for_changed_ones():
 
 def test_the_old_way_to_orthonormal_designs_still_works_and_says_so():
     Q = np.full((4, 1), 0.5)
-    with pytest.warns(DeprecationWarning, match="orthonormal is internal"):
+    with pytest.warns(DeprecationWarning, match="orthonormal does what LeastSquares does"):
         model = mx.LeastSquares.orthonormal(Q, np.arange(4.0), 1, np.zeros((0, 1)))
     np.testing.assert_allclose(model.coefficients, [3.0])

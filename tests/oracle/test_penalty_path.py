@@ -85,13 +85,18 @@ def test_every_weight_is_the_direct_least_squares(coupling):
 
 
 def test_threads_do_not_matter():
-    problem, points = make("tps", 2, penalised=True)
-    path, schemes = factorised(problem), every_scheme(points)
-    one, two = (path.fit(unit(problem), threads) for threads in (1, 2))
-    np.testing.assert_array_equal(one.coefficients, two.coefficients)
-    for scheme in schemes.values():
-        found = [fit.model.cross_validate(scheme, threads=k).residuals for fit, k in ((one, 1), (two, 2))]
-        np.testing.assert_array_equal(*found)
+    rng = np.random.default_rng(0)
+    problem = respond_to(rng.normal(size=(1500, 60)), rng.normal(size=(80, 60)))
+    schemes = every_scheme(rng.uniform(size=(1500, 2)))
+    paths = [PenaltyPath(problem.A, problem.b, 1, problem.penalty, threads=k) for k in (1, 2, 3)]
+    one, *others = (path.fit(unit(problem), k) for k, path in enumerate(paths, 1))
+    for other in others:
+        np.testing.assert_array_equal(one.coefficients, other.coefficients)
+        for scheme in schemes.values():
+            found = [
+                fit.model.cross_validate(scheme, threads=k).residuals for fit, k in ((one, 1), (other, 2))
+            ]
+            np.testing.assert_array_equal(*found)
 
 
 def respond_to(A, Z):

@@ -455,7 +455,7 @@ def test_a_fit_keeps_its_weight_in_its_file(tmp_path):
 
 def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
     living, most = weakref.WeakSet(), []
-    made = LeastSquares._from_orthonormal.__func__
+    made = LeastSquares._of.__func__
 
     def counted(*given):
         model = made(*given)
@@ -463,7 +463,7 @@ def test_the_fits_of_a_design_are_not_kept_beside_each_other(monkeypatch):
         most.append(len(living))
         return model
 
-    monkeypatch.setattr(LeastSquares, "_from_orthonormal", classmethod(counted))
+    monkeypatch.setattr(LeastSquares, "_of", classmethod(counted))
     mx.select_warp(SOURCE, TARGET, "CMPRESS", smoothing="auto")
     assert len(most) == 20  # of the larger design; the smaller one has nothing to bend
     assert max(most) <= 2

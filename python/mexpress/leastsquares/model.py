@@ -155,7 +155,14 @@ class LeastSquares:
         self._keep(problem, _core.Factor(*problem.arrays, check.threads(threads)))
 
     @classmethod
-    def _from_orthonormal(
+    def _of(cls, problem: Problem, factor: _core.Factor) -> LeastSquares:
+        """The fit that the core has made of a problem."""
+        model = object.__new__(cls)
+        model._keep(problem, factor)
+        return model
+
+    @classmethod
+    def orthonormal(
         cls,
         Q: Floats,
         b: Floats,
@@ -165,22 +172,11 @@ class LeastSquares:
         weights: Floats | None = None,
         source: tuple[Floats, Floats] | None = None,
     ) -> LeastSquares:
-        """Fit a design whose weighted columns, stacked on the penalty rows, are orthonormal: skip the factorisation.
-
-        They are so to rounding; predictions close to rank loss go back to the design and penalty they came from.
-        """
-        model = object.__new__(cls)
-        problem = Problem.of(Q, b, coupling, weights, penalty)
-        design, responses, roots, rows = problem.arrays
-        workers = check.threads(threads)
-        model._keep(problem, _core.Factor.orthonormal(design, responses, rows, workers, roots, source))
-        return model
-
-    @classmethod
-    def orthonormal(cls, *given: Any, **named: Any) -> LeastSquares:
-        """Do what is internal now; deprecated."""
-        warnings.warn("LeastSquares.orthonormal is internal now.", DeprecationWarning, stacklevel=2)
-        return cls._from_orthonormal(*given, **named)
+        """Do what `LeastSquares` does; deprecated."""
+        warnings.warn(
+            "LeastSquares.orthonormal does what LeastSquares does now.", DeprecationWarning, stacklevel=2
+        )
+        return cls(Q, b, coupling, weights, penalty, threads=threads)
 
     def _keep(self, problem: Problem, factor: _core.Factor) -> None:
         flat = problem.responses.ndim == 1

@@ -1,10 +1,10 @@
 """One penalised design at every weight of its penalty, for little more than the price of one weight.
 
-With ``[A; sqrt(v) Z] = [Q_A; Q_Z] R`` for some weight v, and the singular value decomposition ``Q_A = U C V^T``,
+With ``A = Q T`` and ``[T; v Z] = [Q_T; Q_Z] R`` for some v, and the singular value decomposition ``Q_T = U C V^T``,
 the columns of ``Q_Z V`` are orthogonal with lengths S, and ``C^2 + S^2 = I``. At any weight w, the rows of the design
-in an orthonormal basis of ``[A; sqrt(w) Z]`` are ``U D``, up to a rotation that does not change the hat matrix, with
+in an orthonormal basis of ``[A; sqrt(w) Z]`` are ``Q U D``, up to a rotation that does not change the hat matrix, with
 
-    D = C (C^2 + (w / v) S^2)^(-1/2)
+    D = C (C^2 + (w / v^2) S^2)^(-1/2)
 
 Weights of the data multiply the rows of A by their roots.
 
@@ -20,12 +20,15 @@ Examples
 True
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mexpress import _core
+from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.leastsquares.model import LeastSquares
+from mexpress.leastsquares.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,45 +58,25 @@ class PenaltyPath:
         Rank of A alone, up to rounding in the common factorisation.
     """
 
-    def __init__(self, A: Floats, b: Floats, coupling: int, Z: Floats, weights: Floats | None = None) -> None:
-        m, p = A.shape
-        # Fits depend on the ratio of weights to the penalty's; with a largest weight of one, the core scales neither.
-        self._largest = 1.0 if weights is None else float(weights.max())
-        weights = None if weights is None else weights / self._largest
-        self._problem = np.ascontiguousarray(A), b, coupling, np.ascontiguousarray(Z), weights
-        self._roots = None if weights is None else np.repeat(np.sqrt(weights), coupling)[:, None]
-        size = np.linalg.norm(Z)
-        rows = A if self._roots is None else self._roots * A
-        self._unit = float(np.linalg.norm(rows) / size) if size else 1.0
-        basis, triangle = np.linalg.qr(np.vstack([rows, self._unit * Z]))
-        rounding = (m + p) * np.finfo(float).eps
-        pivots, lengths = np.diagonal(triangle), np.linalg.norm(triangle, axis=0)
-        small = np.abs(pivots) <= rounding * lengths[: len(pivots)]
-        self.determined = len(triangle) == p and not small.any()
-        # Directions in the null space of A have coefficient zero at any weight, and are omitted.
-        self._left, cosines, right = np.linalg.svd(basis[:m], full_matrices=False)
-        sines = np.linalg.norm(basis[m:] @ right.T, axis=0)
-        # Rounding, times the root of an extreme weight, would penalise directions without bending energy.
-        self._cosines, self._sines = (np.where(part > rounding, part, 0.0) for part in (cosines, sines))
-        self._back = np.linalg.solve(triangle, right.T) if self.determined else right.T
-        self.rank = int(np.count_nonzero(self._cosines))
+    def __init__(
+        self,
+        A: Floats,
+        b: Floats,
+        coupling: int,
+        Z: Floats,
+        weights: Floats | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self._problem = Problem.of(A, b, coupling, weights, Z)
+        self._path = _core.PenaltyPath(*self._problem.arrays, check.threads(threads))
+        self.determined, self.rank = self._path.determined, self._path.rank
 
     def fit(self, weight: float, threads: int | None = None) -> FittedAt:
         """Return the fit at a weight above zero."""
-        A, b, coupling, Z, weights = self._problem
-        weight /= self._largest
+        problem, workers = self._problem, check.threads(threads)
         if not self.determined:
-            rows = np.sqrt(weight) * Z
-            return FittedAt.of(LeastSquares(A, b, coupling, weights, rows, threads=threads))
-        sines = np.sqrt(weight) / self._unit * self._sines
-        lengths = np.hypot(self._cosines, sines)
-        lengths[lengths == 0] = 1.0
-        basis, rest = self._left * (self._cosines / lengths), np.diag(sines / lengths)
-        if self._roots is not None:
-            basis /= self._roots
-        # With fewer rows than unknowns the basis has other columns than the design.
-        source = (A, np.sqrt(weight) * Z) if basis.shape[1] == A.shape[1] else None
-        model = LeastSquares._from_orthonormal(basis, b, coupling, rest, threads, weights, source)
-        # Residuals are finite where coefficients are too large.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return FittedAt(model, np.asarray((self._back / lengths) @ model.coefficients))
+            here = replace(problem, penalty=np.sqrt(weight) * problem.penalty)
+            return FittedAt.of(LeastSquares._of(here, _core.Factor(*here.arrays, workers)))
+        factor, columns = self._path.fit(weight, workers)
+        coefficients = columns[:, 0] if problem.responses.ndim == 1 else np.ascontiguousarray(columns)
+        return FittedAt(LeastSquares._of(problem, factor), coefficients)

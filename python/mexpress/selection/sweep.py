@@ -183,7 +183,7 @@ def _fits(design: Design[ModelT], weights: Floats, threads: int | None) -> tuple
     if not (len(bending) and weights[-1] > 0):
         plain = design.fit(threads=threads)
         return repeat(FittedAt.of(plain), len(weights)), plain.rank
-    path = PenaltyPath(design.A, design.b, design.coupling, bending, design.weights)
+    path = PenaltyPath(design.A, design.b, design.coupling, bending, design.weights, threads)
     stiff = (path.fit(weight, threads) for weight in weights.tolist() if weight > 0)
     if weights[0] > 0:
         return stiff, path.rank

@@ -5,7 +5,8 @@
 
 use crate::error::Error;
 use crate::fit::linalg::{self, dot};
-use crate::fit::rank::{first_deficient, numerical_rank};
+use crate::fit::rank::{Spectrum, first_deficient, numerical_rank};
+use crate::fit::residuals::Residuals;
 use crate::fit::{cholesky_qr, householder};
 use crate::pool::Pool;
 
@@ -46,7 +47,7 @@ impl Problem<'_> {
     }
 
     /// A number that changes with any digit of row `i`.
-    fn fingerprint(&self, i: usize, responses: usize) -> u64 {
+    pub(super) fn fingerprint(&self, i: usize, responses: usize) -> u64 {
         let (row, weight) = self.row(i);
         let mix = |sum: u64, x: &f64| (sum.rotate_left(7) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         // Four sums side by side: one multiplication need not wait for another.
@@ -59,7 +60,7 @@ impl Problem<'_> {
         sums[1..].iter().fold(sum, |sum, other| mix(sum, &f64::from_bits(*other)))
     }
 
-    fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
+    pub(super) fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
         let responses = self.responses.len() / self.rows;
         let mut all = vec![0; self.total_rows()];
         let parts = all.chunks_mut(LEAF_ROWS).enumerate();
@@ -75,21 +76,7 @@ impl Problem<'_> {
         Ok(all)
     }
 
-    /// What brings the columns of `[W^1/2 A; Z]` to unit length.
-    fn unit_scales(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let powers = column_scales(self, pool)?;
-        let mut squares = vec![0.0; self.columns];
-        for i in 0..self.total_rows() {
-            let (row, weight) = self.row(i);
-            for ((square, a), power) in squares.iter_mut().zip(row).zip(&powers) {
-                *square += (a * power * weight).powi(2);
-            }
-        }
-        let unit = |(power, square): (f64, f64)| if square > 0.0 { power / square.sqrt() } else { power };
-        Ok(powers.into_iter().zip(squares).map(unit).collect())
-    }
-
-    fn check(&self) -> Result<usize, Error> {
+    pub(super) fn check(&self) -> Result<usize, Error> {
         if self.rows.min(self.columns) == 0 {
             return Err(Error::Length { expected: 1, given: 0 });
         }
@@ -126,8 +113,7 @@ pub struct Factor {
     pub(crate) scales: Vec<f64>,
     /// x, columns x responses, column-major.
     pub coefficients: Vec<f64>,
-    /// Columns of the design that span them all, if some depend on the others.
-    spanning: Option<Vec<usize>>,
+    coordinates: Coordinates,
     /// What each row of the problem was, to notice that it has changed.
     fingerprints: Vec<u64>,
     /// Weighted residuals, rows x responses, row-major; those of the penalty rows, `0 - Z x`, last.
@@ -140,16 +126,36 @@ pub struct Factor {
     pub(crate) root_weights: Option<Vec<f64>>,
 }
 
+/// Coordinates in which the rows of a problem have full rank.
+enum Coordinates {
+    /// Those of all columns.
+    Columns,
+    /// Those of columns that span them all, where some depend on the others.
+    Spanning(Vec<usize>),
+    /// Those of the basis, where it is narrower than the columns.
+    Basis,
+}
+
+/// An orthonormal basis of the columns, row-major, and what their triangle tells.
+pub(super) fn orthonormal(
+    problem: &Problem<'_>,
+    scales: &[f64],
+    pool: &Pool<'_>,
+) -> Result<(Vec<f64>, Spectrum), Error> {
+    match cholesky_qr::orthonormal(problem, scales, pool)? {
+        Some(found) => Ok(found),
+        None => householder::orthonormal(problem, scales, pool),
+    }
+}
+
 impl Factor {
     /// Factors and fits.
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
         let scales = column_scales(problem, pool)?;
-        let (basis, spectrum) = match cholesky_qr::orthonormal(problem, &scales, pool)? {
-            Some(found) => found,
-            None => householder::orthonormal(problem, &scales, pool)?,
-        };
-        let mut factor = Self::fit(problem, basis, spectrum.rank, pool)?;
+        let (basis, spectrum) = orthonormal(problem, &scales, pool)?;
+        let fingerprints = problem.fingerprints(pool)?;
+        let mut factor = Self::fit(problem, (basis, spectrum.rank), None, fingerprints, pool)?;
         factor.coefficients = spectrum.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(problem.columns) {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
@@ -159,66 +165,69 @@ impl Factor {
         factor.triangle = spectrum.triangle;
         factor.scales = spectrum.scales.iter().zip(&scales).map(|(unit, power)| unit * power).collect();
         if factor.rank < factor.columns {
-            factor.spanning = Some(factor.spanning_columns());
+            factor.coordinates = Coordinates::Spanning(factor.spanning_columns());
         }
         Ok(factor)
     }
 
-    /// Fits a problem of which the columns of `[W^1/2 A; Z]` are orthonormal already. They are so to rounding, which rows
-    /// of zeros lose: pairs close to rank loss go back to `source`, a problem with the same responses, weights and span.
-    pub fn orthonormal(problem: &Problem<'_>, source: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
-        problem.check()?;
-        source.check()?;
-        let columns = problem.columns;
-        expect_length(source.columns, columns)?;
-        expect_length(source.rows, problem.rows)?;
-        let mut basis = [problem.design, problem.penalty].concat();
-        if let Some(weights) = problem.root_weights {
-            for (row, w) in basis.chunks_exact_mut(columns).zip(weights) {
-                row.iter_mut().for_each(|x| *x *= w);
-            }
-        }
-        let mut factor = Self::fit(problem, basis, columns, pool)?;
+    /// Fits a problem of which a basis, `rank` wide, and the responses' projection are known: its coefficients are those of the basis. A basis is orthonormal
+    /// to rounding, which rows of zeros lose: pairs close to rank loss go back to the problem's columns, if these are as
+    /// many and there are scales that bring them to unit length, else to the basis.
+    pub(super) fn orthonormal(
+        problem: &Problem<'_>,
+        (basis, rank): (Vec<f64>, usize),
+        projection: Vec<f64>,
+        scales: Option<Vec<f64>>,
+        fingerprints: Vec<u64>,
+        pool: &Pool<'_>,
+    ) -> Result<Self, Error> {
+        let mut factor = Self::fit(problem, (basis, rank), Some(projection), fingerprints, pool)?;
+        factor.columns = rank;
         factor.coefficients.clone_from(&factor.projection);
-        factor.triangle.resize(columns * columns, 0.0);
-        factor.triangle.iter_mut().step_by(columns + 1).for_each(|diagonal| *diagonal = 1.0);
-        factor.scales = source.unit_scales(pool)?;
-        factor.fingerprints = source.fingerprints(pool)?;
         factor.least = 1.0;
-        factor.tolerance = factor.total_rows.max(columns) as f64 * f64::EPSILON;
+        factor.tolerance = factor.total_rows.max(rank) as f64 * f64::EPSILON;
+        match scales {
+            Some(scales) => factor.scales = scales,
+            None => factor.coordinates = Coordinates::Basis,
+        }
         Ok(factor)
     }
 
-    /// What a basis tells of the responses, without coefficients.
-    fn fit(problem: &Problem<'_>, basis: Vec<f64>, rank: usize, pool: &Pool<'_>) -> Result<Self, Error> {
+    /// What a basis tells of the responses, without coefficients; their projection may be known.
+    fn fit(
+        problem: &Problem<'_>,
+        (basis, rank): (Vec<f64>, usize),
+        projection: Option<Vec<f64>>,
+        fingerprints: Vec<u64>,
+        pool: &Pool<'_>,
+    ) -> Result<Self, Error> {
         let Problem { rows, columns, .. } = *problem;
         let responses = problem.responses.len() / rows;
-        let mut factor = Self {
+        let total_rows = basis.len().checked_div(rank).unwrap_or(problem.total_rows());
+        let mut weighted = weighted_responses(problem, responses);
+        weighted.resize(total_rows * responses, 0.0);
+        let Residuals { left, projection, mut leverage } =
+            Residuals::new((weighted, responses), (&basis, rank), projection, pool)?;
+        leverage.resize(rows, 0.0);
+        Ok(Self {
             rows,
             columns,
             responses,
             rank,
-            total_rows: problem.total_rows(),
+            total_rows,
             basis,
             triangle: Vec::new(),
             least: 0.0,
             tolerance: 0.0,
             scales: Vec::new(),
             coefficients: Vec::new(),
-            spanning: None,
-            fingerprints: problem.fingerprints(pool)?,
-            residuals: weighted_responses(problem, responses),
-            leverage: Vec::new(),
-            projection: Vec::new(),
+            coordinates: Coordinates::Columns,
+            fingerprints,
+            residuals: left,
+            leverage,
+            projection,
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
-        };
-        factor.projection = factor.project(&factor.residuals, pool)?;
-        // Twice: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
-        let rest = factor.subtract(&factor.projection.clone(), pool)?;
-        factor.subtract(&rest, pool)?;
-        factor.projection.iter_mut().zip(&rest).for_each(|(c, rest)| *c += rest);
-        factor.leverage = factor.squared_lengths(pool)?;
-        Ok(factor)
+        })
     }
 
     /// The lambda_min(M) from which the closed form holds, M of a pair being `I - Q_K^T Q_K`: its error is about
@@ -248,35 +257,38 @@ impl Factor {
         i: usize,
         out: &mut [f64],
     ) -> Result<(), Error> {
-        if problem.fingerprint(i, self.responses) != self.fingerprints[i] {
+        if self.fingerprints.get(i).is_some_and(|&print| print != problem.fingerprint(i, self.responses)) {
             return Err(Error::Changed { row: i });
         }
         let (left, right) = out.split_at_mut(self.rank);
-        let (row, weight) = problem.row(i);
-        match &self.spanning {
-            None => {
+        match &self.coordinates {
+            Coordinates::Columns => {
+                let (row, weight) = problem.row(i);
                 for ((x, a), scale) in left.iter_mut().zip(row).zip(&self.scales) {
                     *x = a * scale * weight;
                 }
             }
-            Some(columns) => {
+            Coordinates::Spanning(columns) => {
+                let (row, weight) = problem.row(i);
                 for (x, &j) in left.iter_mut().zip(columns) {
                     *x = row[j] * self.scales[j] * weight;
                 }
             }
+            Coordinates::Basis => left.copy_from_slice(self.basis_row(i)),
         }
+        right.fill(0.0);
         for (x, b) in right.iter_mut().zip(problem.responses_of(i, self.responses)) {
-            *x = b * weight;
-        }
-        if i >= self.rows {
-            right.fill(0.0);
+            *x = b * problem.root_weights.map_or(1.0, |w| w[i]);
         }
         Ok(())
     }
 
     /// Rows of the problem that pairs close to rank loss go back to.
     pub(crate) fn problem_rows(&self) -> usize {
-        self.fingerprints.len()
+        match self.coordinates {
+            Coordinates::Basis => self.total_rows,
+            _ => self.fingerprints.len(),
+        }
     }
 
     /// What brings row `i` back from weighted to plain units.
@@ -287,24 +299,6 @@ impl Factor {
     /// Residuals in the responses' unit, rows x responses, row-major.
     pub fn plain_residuals(&self) -> Vec<f64> {
         (0..self.rows).flat_map(|i| self.residual_row(i).iter().map(move |e| e * self.unweight(i))).collect()
-    }
-
-    /// `Q^T b`, rank x responses, column-major, of weighted responses. Summed block by block, so that the order of the sum
-    /// does not depend on who computes it.
-    pub(crate) fn project(&self, right: &[f64], pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let (rank, responses) = (self.rank, self.responses);
-        let size = rank * responses;
-        if size == 0 {
-            return Ok(Vec::new());
-        }
-        let mut parts = vec![0.0; right.len().div_ceil(LEAF_ROWS * responses) * size];
-        let (basis, right) = (self.basis.chunks(LEAF_ROWS * rank), right.chunks(LEAF_ROWS * responses));
-        pool.run(
-            parts.chunks_exact_mut(size).zip(basis).zip(right),
-            || (),
-            |(), ((part, q), b)| linalg::transposed_product(q, b, rank, responses, part),
-        )?;
-        Ok(sum_of_parts(&parts, size))
     }
 
     /// The columns that are independent of those before them, as many as the rank, increasing.
@@ -365,57 +359,6 @@ impl Factor {
         kept.sort_unstable();
         kept
     }
-
-    /// Takes `Q projection` from the residuals, and projects what is left.
-    fn subtract(&mut self, projection: &[f64], pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let (rank, responses) = (self.rank, self.responses);
-        let size = rank * responses;
-        if size == 0 {
-            return Ok(Vec::new());
-        }
-        let mut parts = vec![0.0; self.residuals.len().div_ceil(LEAF_ROWS * responses) * size];
-        let residuals = self.residuals.chunks_mut(LEAF_ROWS * responses);
-        pool.run(
-            residuals.zip(self.basis.chunks(LEAF_ROWS * rank)).zip(parts.chunks_exact_mut(size)),
-            || (),
-            |(), ((residuals, basis), part)| {
-                for (e, q) in residuals.chunks_exact_mut(responses).zip(basis.chunks_exact(rank)) {
-                    for (e, c) in e.iter_mut().zip(projection.chunks_exact(rank)) {
-                        *e -= dot(q, c);
-                    }
-                }
-                linalg::transposed_product(basis, residuals, rank, responses, part);
-            },
-        )?;
-        Ok(sum_of_parts(&parts, size))
-    }
-
-    /// Squared lengths of the basis' rows that are A's.
-    fn squared_lengths(&self, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let mut squares = vec![0.0; self.rows];
-        if self.rank > 0 {
-            let parts = squares.chunks_mut(LEAF_ROWS).zip(self.basis.chunks(LEAF_ROWS * self.rank));
-            pool.run(
-                parts,
-                || (),
-                |(), (squares, basis)| {
-                    for (square, q) in squares.iter_mut().zip(basis.chunks_exact(self.rank)) {
-                        *square = dot(q, q);
-                    }
-                },
-            )?;
-        }
-        Ok(squares)
-    }
-}
-
-/// Sums that blocks have begun, put together in order.
-fn sum_of_parts(parts: &[f64], size: usize) -> Vec<f64> {
-    let mut sum = vec![0.0; size];
-    for part in parts.chunks_exact(size) {
-        sum.iter_mut().zip(part).for_each(|(s, x)| *s += x);
-    }
-    sum
 }
 
 pub(crate) fn expect_length(given: usize, expected: usize) -> Result<(), Error> {
@@ -427,7 +370,7 @@ const LEAF_ROWS: usize = 512;
 
 /// Powers of two that bring every column's largest entry near one: overflow is then out of the way, and not a
 /// digit changes.
-fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+pub(super) fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
     let columns = problem.columns;
     let blocks =
         problem.design.chunks(LEAF_ROWS * columns).chain(problem.penalty.chunks(LEAF_ROWS * columns));

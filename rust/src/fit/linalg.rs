@@ -242,6 +242,11 @@ pub fn solve_upper(r: &[f64], stride: usize, order: usize, x: &mut [f64], width:
     );
 }
 
+/// A matrix of columns (rows) of some length with its rows (columns) for them.
+pub fn transposed(a: &[f64], length: usize) -> Vec<f64> {
+    (0..length).flat_map(|i| a.iter().skip(i).step_by(length)).copied().collect()
+}
+
 /// `a b` for a (rows x inner) and b (inner x columns).
 pub fn product(a: &[f64], b: &[f64], rows: usize, inner: usize, columns: usize) -> Vec<f64> {
     let mut c = vec![0.0; rows * columns];

@@ -5,4 +5,6 @@ pub mod factor;
 mod householder;
 pub mod linalg;
 mod panels;
+pub mod penalty_path;
 pub(crate) mod rank;
+mod residuals;

@@ -67,6 +67,12 @@ impl Spectrum {
         Ok(Self { rank, columns, scales, triangle, least, tolerance, turn, inverse })
     }
 
+    /// The triangle with columns at their own length, row-major.
+    pub fn rows(&self) -> Vec<f64> {
+        let row = |i| self.triangle.iter().skip(i).step_by(self.rank);
+        (0..self.rank).flat_map(|i| row(i).zip(&self.scales).map(|(x, scale)| x / scale)).collect()
+    }
+
     /// Least-squares coefficients (columns x responses); of least norm, columns at unit length, when rank is lost.
     pub fn solve(&self, projection: &[f64], responses: usize) -> Vec<f64> {
         match &self.inverse {

@@ -5,35 +5,17 @@ use pyo3::prelude::*;
 
 use super::arrays::{Array1, Array2, ReadSets, indices, numbers, sets, table};
 use super::interrupt::interruptible;
-use super::problem::{KeptArrays, ProblemArrays};
-use crate::error::Error;
-use crate::fit::factor::{self, Problem};
+use super::problem::KeptArrays;
+use crate::fit::factor;
 use crate::holdout::residuals::Status;
 use crate::holdout::scheme::{Held, Scheme};
-use crate::pool::Pool;
 use crate::sets::Sets;
 
 /// A fitted least-squares problem.
 #[pyclass(frozen, module = "mexpress._core")]
 pub(super) struct Factor {
-    fit: factor::Factor,
-    arrays: KeptArrays,
-}
-
-impl Factor {
-    fn build<'py>(
-        py: Python<'py>,
-        arrays: KeptArrays,
-        threads: usize,
-        make: impl Fn(&Problem<'_>, &Pool<'_>) -> Result<factor::Factor, Error> + Send + Sync,
-    ) -> PyResult<Self> {
-        let borrowed = arrays.borrow(py)?;
-        let problem = borrowed.problem()?;
-        let size = problem.design.len() + problem.penalty.len();
-        let cost = 2.0 * (size * problem.columns) as f64;
-        let fit = interruptible(py, cost, threads, |pool| make(&problem, pool))?;
-        Ok(Self { fit, arrays })
-    }
+    pub(super) fit: factor::Factor,
+    pub(super) arrays: KeptArrays,
 }
 
 #[pymethods]
@@ -53,34 +35,12 @@ impl Factor {
             root_weights: root_weights.map(Bound::unbind),
             penalty: penalty.unbind(),
         };
-        Self::build(py, arrays, threads, factor::Factor::new)
-    }
-
-    /// Of a weighted design and penalty rows that have orthonormal columns together; pairs close to rank loss go back to
-    /// the (design, penalty) that these came from, if given.
-    #[staticmethod]
-    #[pyo3(signature = (design, responses, penalty, threads, root_weights=None, source=None))]
-    fn orthonormal<'py>(
-        py: Python<'py>,
-        design: Array2<'py, f64>,
-        responses: Array2<'py, f64>,
-        penalty: Array2<'py, f64>,
-        threads: usize,
-        root_weights: Option<Array1<'py, f64>>,
-        source: Option<(Array2<'py, f64>, Array2<'py, f64>)>,
-    ) -> PyResult<Self> {
-        let basis = ProblemArrays::new(&design, &responses, root_weights.as_ref(), &penalty)?;
-        let orthonormal = basis.problem()?;
-        let (design, penalty) = source.unwrap_or_else(|| (design.clone(), penalty.clone()));
-        let arrays = KeptArrays {
-            design: design.unbind(),
-            responses: responses.unbind(),
-            root_weights: root_weights.map(Bound::unbind),
-            penalty: penalty.unbind(),
-        };
-        Self::build(py, arrays, threads, |source, pool| {
-            factor::Factor::orthonormal(&orthonormal, source, pool)
-        })
+        let borrowed = arrays.borrow(py)?;
+        let problem = borrowed.problem()?;
+        let size = problem.design.len() + problem.penalty.len();
+        let cost = 2.0 * (size * problem.columns) as f64;
+        let fit = interruptible(py, cost, threads, |pool| factor::Factor::new(&problem, pool))?;
+        Ok(Self { fit, arrays })
     }
 
     #[getter]

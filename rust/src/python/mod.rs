@@ -8,6 +8,7 @@ mod factor;
 mod interrupt;
 mod near;
 mod nested;
+mod penalty_path;
 mod place;
 mod problem;
 
@@ -29,6 +30,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::nested::Nested;
+    #[pymodule_export]
+    use super::penalty_path::PenaltyPath;
     #[pymodule_export]
     use super::place::{lloyd, place_by_residual, spread};
 }

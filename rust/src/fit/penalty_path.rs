@@ -1,0 +1,361 @@
+//! One penalised design at every weight of its penalty, for little more than the price of one weight.
+//!
+//! With `W^1/2 A = Q T` and `[T; v Z] = [Q_T; Q_Z] R` for some v, and the singular value decomposition `Q_T = U C V^T`, the
+//! columns of `Q_Z V` are orthogonal with lengths S, and `C^2 + S^2 = I`. At any weight w, the rows of the design in an
+//! orthonormal basis of `[W^1/2 A; sqrt(w) Z]` are `Q U D`, up to a rotation that does not change the hat matrix, with
+//! `D = C (C^2 + (w / v^2) S^2)^(-1/2)`. Cosines and sines are lengths of different rows: both keep their digits near zero.
+
+use std::ops::Range;
+
+use crate::error::Error;
+use crate::fit::factor::{Factor, Problem, column_scales, orthonormal, weighted_responses};
+use crate::fit::linalg::{self, Svd};
+use crate::fit::residuals::Residuals;
+use crate::pool::Pool;
+
+/// A problem, factorised once for all weights of its penalty.
+pub struct PenaltyPath {
+    /// Whether design and penalty together determine the coefficients.
+    pub determined: bool,
+    /// Q U, rows x directions, row-major. Directions that the design does not see have coefficient zero at any weight, and
+    /// are omitted.
+    left: Vec<f64>,
+    /// `(Q U)^T W^1/2 b`, directions x responses, column-major.
+    projection: Vec<f64>,
+    /// C, one a direction.
+    cosines: Vec<f64>,
+    /// S / v, one a direction.
+    sines: Vec<f64>,
+    /// `R^-1 V`, columns x directions, column-major.
+    back: Vec<f64>,
+    columns: Vec<Column>,
+    /// What the rows of the design were.
+    fingerprints: Vec<u64>,
+}
+
+/// A power of two, and the lengths of a column of the design and of the penalty that are multiplied by it.
+struct Column {
+    scale: f64,
+    design: f64,
+    penalty: f64,
+}
+
+impl PenaltyPath {
+    /// Factorises the design, then what it has in common with the penalty.
+    pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+        let responses = problem.check()?;
+        let (rows, width) = (problem.rows, problem.columns);
+        let scales = column_scales(problem, pool)?;
+        let design = Problem { penalty: &[], ..*problem };
+        let (basis, triangle) = if rows > TALL * width {
+            let (basis, spectrum) = orthonormal(&design, &scales, pool)?;
+            (Some(basis), spectrum.rows())
+        } else {
+            (None, scaled_rows(problem, &scales, 0..rows))
+        };
+        let penalty = scaled_rows(problem, &scales, rows..problem.total_rows());
+        let lengths = column_lengths(&triangle, width).into_iter().zip(column_lengths(&penalty, width));
+        let column = |((design, penalty), &scale): ((f64, f64), &f64)| Column { scale, design, penalty };
+        let columns = lengths.zip(&scales).map(column).collect();
+        let Common { determined, turn, cosines, sines, mut back } =
+            Common::new(&triangle, &penalty, width, pool)?;
+        scale_rows(&mut back, &scales);
+        let left = match basis {
+            Some(basis) => turned(&basis, &turn, triangle.len() / width, cosines.len(), pool)?,
+            None => linalg::transposed(&turn, rows),
+        };
+        let responses = (weighted_responses(&design, responses), responses);
+        let projection = Residuals::new(responses, (&left, cosines.len()), None, pool)?.projection;
+        let fingerprints = design.fingerprints(pool)?;
+        Ok(Self { determined, left, projection, cosines, sines, back, columns, fingerprints })
+    }
+
+    /// Rank of the design alone.
+    pub fn rank(&self) -> usize {
+        self.cosines.len()
+    }
+
+    /// The fit at a weight above zero, with coefficients of its basis, and those of the design (columns x responses,
+    /// column-major). The penalty of the problem is that of the path times the root of the weight.
+    pub fn fit(
+        &self,
+        problem: &Problem<'_>,
+        weight: f64,
+        pool: &Pool<'_>,
+    ) -> Result<(Factor, Vec<f64>), Error> {
+        let responses = problem.check()?;
+        let (rank, root) = (self.rank(), weight.sqrt());
+        let lengths: Vec<f64> =
+            self.cosines.iter().zip(&self.sines).map(|(c, s)| c.hypot(root * s)).collect();
+        let shares: Vec<f64> = self.cosines.iter().zip(&lengths).map(|(c, length)| c / length).collect();
+        let mut basis = self.basis(&shares, pool)?;
+        let penalty = basis[self.left.len()..].iter_mut().step_by(rank + 1);
+        penalty.zip(&self.sines).zip(&lengths).for_each(|((x, s), length)| *x = root * s / length);
+        let whole = rank == problem.columns;
+        let scales = whole.then(|| self.columns.iter().map(|column| column.unit(root)).collect());
+        let mut fingerprints = self.fingerprints.clone();
+        if whole {
+            let penalty = problem.rows..problem.total_rows();
+            fingerprints.extend(penalty.map(|i| problem.fingerprint(i, responses)));
+        }
+        let mut projection = self.projection.clone();
+        scale_rows(&mut projection, &shares);
+        let factor = Factor::orthonormal(problem, (basis, rank), projection, scales, fingerprints, pool)?;
+        let mut along = factor.coefficients.clone();
+        let inverses: Vec<f64> = lengths.iter().map(|length| length.recip()).collect();
+        scale_rows(&mut along, &inverses);
+        let coefficients = linalg::product(&self.back, &along, problem.columns, rank, responses);
+        Ok((factor, coefficients))
+    }
+
+    /// `Q U D`, and rows of zeros for the penalty, as many as there are directions.
+    fn basis(&self, shares: &[f64], pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let rank = shares.len();
+        let mut basis = vec![0.0; self.left.len() + rank * rank];
+        let block = BLOCK_ROWS * rank.max(1);
+        pool.run(
+            basis[..self.left.len()].chunks_mut(block).zip(self.left.chunks(block)),
+            || (),
+            |(), (target, left)| {
+                for (row, left) in target.chunks_exact_mut(rank).zip(left.chunks_exact(rank)) {
+                    row.iter_mut().zip(left).zip(shares).for_each(|((x, u), d)| *x = u * d);
+                }
+            },
+        )?;
+        Ok(basis)
+    }
+}
+
+impl Column {
+    /// What brings the column to unit length at a weight, given its root.
+    fn unit(&self, root: f64) -> f64 {
+        let length = self.design.hypot(root * self.penalty);
+        if length > 0.0 { self.scale / length } else { self.scale }
+    }
+}
+
+/// The decomposition of what T, a design or its triangle, and a penalty Z have in common.
+struct Common {
+    determined: bool,
+    /// U, column-major.
+    turn: Vec<f64>,
+    cosines: Vec<f64>,
+    sines: Vec<f64>,
+    back: Vec<f64>,
+}
+
+impl Common {
+    fn new(triangle: &[f64], penalty: &[f64], columns: usize, pool: &Pool<'_>) -> Result<Self, Error> {
+        let ratio = norm(triangle) / norm(penalty);
+        let unit = if ratio.is_normal() { ratio } else { 1.0 };
+        let rows = triangle.len() / columns;
+        let stacked: Vec<f64> = triangle.iter().copied().chain(penalty.iter().map(|z| unit * z)).collect();
+        let total = stacked.len() / columns;
+        let problem = Problem {
+            design: &stacked,
+            responses: &[],
+            root_weights: None,
+            penalty: &[],
+            rows: total,
+            columns,
+        };
+        let (basis, spectrum) = orthonormal(&problem, &vec![1.0; columns], pool)?;
+        let width = spectrum.rank;
+        let (above, below) = basis.split_at(rows * width);
+        let Svd { u: mut turn, s: mut cosines, v: mut right } =
+            linalg::thin_svd(linalg::transposed(above, width), rows, width, pool)?;
+        // Rounding, times the root of an extreme weight, would penalise directions without bending energy, and would pass
+        // for rank.
+        let rounding = (total + columns) as f64 * f64::EPSILON;
+        cosines.truncate(cosines.partition_point(|&c| c > rounding));
+        turn.truncate(rows * cosines.len());
+        right.truncate(width * cosines.len());
+        let sines = column_lengths(&turned(below, &right, width, cosines.len(), pool)?, cosines.len());
+        let sines = sines.into_iter().map(|s| if s > rounding { s / unit } else { 0.0 }).collect();
+        let mut back = vec![0.0; columns * cosines.len()];
+        let parts =
+            back.chunks_mut(columns * BLOCK_COLUMNS).zip(right.chunks((width * BLOCK_COLUMNS).max(1)));
+        pool.run(
+            parts,
+            || (),
+            |(), (part, right)| part.copy_from_slice(&spectrum.solve(right, right.len() / width)),
+        )?;
+        Ok(Self { determined: width == columns, turn, cosines, sines, back })
+    }
+}
+
+/// Designs of more rows than this times their columns are reduced to a triangle first.
+const TALL: usize = 2;
+
+/// Rows of `[W^1/2 A; Z]`, columns multiplied by their scales.
+fn scaled_rows(problem: &Problem<'_>, scales: &[f64], rows: Range<usize>) -> Vec<f64> {
+    let scaled = |i| {
+        let (row, weight) = problem.row(i);
+        row.iter().zip(scales).map(move |(a, scale)| a * scale * weight)
+    };
+    rows.flat_map(scaled).collect()
+}
+
+/// Rows of a block of the basis.
+const BLOCK_ROWS: usize = 256;
+
+/// Columns of a block of solutions.
+const BLOCK_COLUMNS: usize = 64;
+
+/// A row-major matrix times a column-major one (inner x width).
+fn turned(
+    matrix: &[f64],
+    turn: &[f64],
+    inner: usize,
+    width: usize,
+    pool: &Pool<'_>,
+) -> Result<Vec<f64>, Error> {
+    let mut out = vec![0.0; matrix.len().checked_div(inner).unwrap_or(0) * width];
+    let block = |width: usize| (BLOCK_ROWS * width).max(1);
+    let blocks = out.chunks_mut(block(width)).zip(matrix.chunks(block(inner)));
+    pool.run(blocks, || (), |(), (out, rows)| linalg::rows_product(rows, turn, inner, width, out))?;
+    Ok(out)
+}
+
+/// Multiplies every row of a column-major matrix by its scale.
+fn scale_rows(matrix: &mut [f64], scales: &[f64]) {
+    for column in matrix.chunks_exact_mut(scales.len().max(1)) {
+        column.iter_mut().zip(scales).for_each(|(x, scale)| *x *= scale);
+    }
+}
+
+/// Lengths of the columns of a row-major matrix.
+fn column_lengths(matrix: &[f64], columns: usize) -> Vec<f64> {
+    let mut squares = vec![0.0; columns];
+    for row in matrix.chunks_exact(columns.max(1)) {
+        squares.iter_mut().zip(row).for_each(|(square, x)| *square += x * x);
+    }
+    squares.into_iter().map(f64::sqrt).collect()
+}
+
+fn norm(matrix: &[f64]) -> f64 {
+    linalg::dot(matrix, matrix).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::*;
+
+    const RESPONSES: usize = 2;
+
+    /// The arrays of a problem with weights; columns of the penalty and, if asked for, of the design depend on others.
+    struct Made {
+        design: Vec<f64>,
+        responses: Vec<f64>,
+        root_weights: Vec<f64>,
+        penalty: Vec<f64>,
+        rows: usize,
+        columns: usize,
+    }
+
+    impl Made {
+        fn new(rows: usize, columns: usize, penalties: usize, dependent: bool) -> Self {
+            let entry = |i: usize| ((i * 7919 + i * i % 977) % 1000) as f64 / 500.0 - 1.0;
+            let some = |size: usize, from: usize| (from..from + size).map(entry).collect::<Vec<_>>();
+            let mut design = some(rows * columns, 3);
+            if dependent {
+                for row in design.chunks_exact_mut(columns) {
+                    row[1] = 2.0 * row[0];
+                }
+            }
+            let root_weights = some(rows, 70).into_iter().map(|x| 1.5 + x).collect();
+            let (responses, penalty) = (some(rows * RESPONSES, 11), some(penalties * columns, 500));
+            Self { design, responses, root_weights, penalty, rows, columns }
+        }
+
+        fn problem<'a>(&'a self, penalty: &'a [f64]) -> Problem<'a> {
+            Problem {
+                design: &self.design,
+                responses: &self.responses,
+                root_weights: Some(&self.root_weights),
+                penalty,
+                rows: self.rows,
+                columns: self.columns,
+            }
+        }
+
+        /// The penalty times the root of a weight.
+        fn weighted(&self, weight: f64) -> Vec<f64> {
+            self.penalty.iter().map(|z| weight.sqrt() * z).collect()
+        }
+    }
+
+    fn assert_close(given: &[f64], expected: &[f64], what: &str) {
+        let size = expected.iter().fold(1.0_f64, |size, x| size.max(x.abs()));
+        assert_eq!(given.len(), expected.len(), "{what}");
+        for (x, y) in given.iter().zip(expected) {
+            assert!((x - y).abs() < 1e-10 * size, "{what}: {x} for {y}");
+        }
+    }
+
+    #[test]
+    fn every_weight_is_a_factorisation_of_its_own() {
+        let never = AtomicBool::new(false);
+        let pool = Pool::new(2, &never);
+        for (rows, columns, penalties, dependent, rank) in
+            [(30, 6, 4, false, 6), (5000, 7, 9, false, 7), (10, 15, 20, false, 10), (30, 6, 6, true, 5)]
+        {
+            let made = Made::new(rows, columns, penalties, dependent);
+            let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
+            assert!(path.determined);
+            assert_eq!(path.rank(), rank);
+            for weight in [1e-3, 1.0, 1e6] {
+                let penalty = made.weighted(weight);
+                let problem = made.problem(&penalty);
+                let (factor, coefficients) = path.fit(&problem, weight, &pool).unwrap();
+                let direct = Factor::new(&problem, &pool).unwrap();
+                let what = format!("{rows} x {columns}, weight {weight}");
+                assert_close(&factor.plain_residuals(), &direct.plain_residuals(), &what);
+                assert_close(&factor.leverage, &direct.leverage, &what);
+                assert_close(&coefficients, &direct.coefficients, &what);
+                assert_eq!(factor.rank, rank);
+            }
+        }
+    }
+
+    #[test]
+    fn threads_change_no_bit() {
+        let never = AtomicBool::new(false);
+        let made = Made::new(5000, 40, 30, false);
+        let found = [1, 2, 5].map(|threads| {
+            let pool = Pool::new(threads, &never);
+            let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
+            let (factor, coefficients) = path.fit(&made.problem(&made.penalty), 1.0, &pool).unwrap();
+            (factor.basis, factor.leverage, coefficients)
+        });
+        assert!(found.iter().all(|same| *same == found[0]));
+    }
+
+    #[test]
+    fn a_penalty_may_be_none_and_a_design_zero() {
+        let never = AtomicBool::new(false);
+        let pool = Pool::new(1, &never);
+        let mut made = Made::new(20, 4, 5, false);
+        made.penalty.fill(0.0);
+        let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
+        let (factor, _) = path.fit(&made.problem(&made.penalty), 1e9, &pool).unwrap();
+        assert!((factor.leverage.iter().sum::<f64>() - 4.0).abs() < 1e-12);
+        let mut made = Made::new(20, 4, 5, false);
+        made.design.fill(0.0);
+        let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
+        assert!(path.determined);
+        let (factor, coefficients) = path.fit(&made.problem(&made.penalty), 1.0, &pool).unwrap();
+        assert_eq!((factor.rank, coefficients), (0, vec![0.0; 4 * RESPONSES]));
+        assert_eq!(factor.leverage, vec![0.0; 20]);
+    }
+
+    #[test]
+    fn what_neither_sees_is_not_determined() {
+        let never = AtomicBool::new(false);
+        let made = Made::new(20, 6, 0, true);
+        let path = PenaltyPath::new(&made.problem(&made.penalty), &Pool::new(1, &never)).unwrap();
+        assert_eq!((path.determined, path.rank()), (false, 5));
+    }
+}
