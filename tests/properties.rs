@@ -263,7 +263,7 @@ proptest! {
         let reach = 2.min(n / 2 - 1);
         let windows: Sets = (0..n).map(|i| (i.saturating_sub(reach)..n.min(i + reach + 1)).collect()).collect();
         let places: Vec<f64> = (0..n).map(|i| i as f64).collect();
-        let lazy = LazyNeighbourhoods::within(&places, 1, reach as f64).unwrap();
+        let lazy = LazyNeighbourhoods::within(&places, 1, reach as f64, &pool(1)).unwrap();
         let (alone, every): (Sets, Vec<usize>) = (singles(n), (0..n).collect());
         let (one, part): (Sets, Sets) = ([some.clone()].into_iter().collect(), [some[..some.len().div_ceil(2)].to_vec()].into_iter().collect());
         let schemes = [
@@ -458,7 +458,7 @@ fn leading_models_of_dependent_columns() {
 fn schemes_together_are_each_alone_for_any_number_of_threads() {
     let case = nearly_lost(700, 12, 1e-3, false);
     let places: Vec<f64> = (0..700).map(|i| i as f64).collect();
-    let near = |reach: f64| LazyNeighbourhoods::within(&places, 1, reach).unwrap();
+    let near = |reach: f64| LazyNeighbourhoods::within(&places, 1, reach, &pool(1)).unwrap();
     let (small, large) = (near(6.0), near(30.0));
     let order: Vec<usize> = (0..350).chain((350..700).rev()).collect();
     let scheme = |lazy| Scheme { held: Held::Lazy(lazy), validated: &small.singletons, order: Some(&order) };

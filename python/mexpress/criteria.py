@@ -113,7 +113,7 @@ class Domain:
     @cached_property
     def places(self) -> Places:
         """The points, prepared for searches of neighbours."""
-        return Places(self.points)
+        return Places(self.points, self.threads)
 
 
 def _share(percent: float, n: int) -> int:
@@ -124,10 +124,10 @@ def _share(percent: float, n: int) -> int:
 def _matched(domain: Domain) -> Scheme:
     """The scheme of `mexpress.schemes.matched`, by default with queries all over the region that the data cover."""
     if domain.queries is not None:
-        return _thinned(domain.places.matched(domain.queries, threads=domain.threads))
+        return _thinned(domain.places.matched(domain.queries))
     region = domain.region or Region(hull(domain.points, "points"))
     queries = lattice(region.corners, max(LEAST_QUERIES, len(domain.points)))
-    return domain.places.matched(queries, threads=domain.threads)
+    return domain.places.matched(queries)
 
 
 def _thinned(scheme: Scheme) -> Scheme:
@@ -144,11 +144,9 @@ def _thinned(scheme: Scheme) -> Scheme:
 SCHEMES: dict[str, Callable[[float, Domain], Scheme]] = {
     "CMPRESS": lambda _, domain: schemes.leave_one_out(len(domain.points)),
     "KF": lambda k, domain: schemes.k_fold(len(domain.points), int(k), domain.seed),
-    "ER": lambda percent, domain: domain.places.within(percent / 100 * domain.diagonal, domain.threads),
-    "NN..PTS": lambda k, domain: domain.places.nearest(int(k), domain.threads),
-    "NN..PCT": lambda percent, domain: domain.places.nearest(
-        _share(percent, len(domain.points)), domain.threads
-    ),
+    "ER": lambda percent, domain: domain.places.within(percent / 100 * domain.diagonal),
+    "NN..PTS": lambda k, domain: domain.places.nearest(int(k)),
+    "NN..PCT": lambda percent, domain: domain.places.nearest(_share(percent, len(domain.points))),
     "DELAUNAY": lambda _, domain: domain.places.delaunay(),
     "MATCHED": lambda _, domain: _matched(domain),
     "LPO": lambda p, domain: schemes.leave_p_out(len(domain.points), int(p), LEAVE_P_OUT_SETS, domain.seed),

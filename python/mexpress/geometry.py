@@ -335,12 +335,13 @@ def _convex_hull(points: Floats) -> Floats:
 
 def _outer(points: Floats) -> Floats:
     """Points that are not strictly inside the polygon of the extreme ones in sixteen directions."""
+    x, y = points.T.copy()
     angles = np.arange(16) * (np.pi / 8)
-    extremes = points[(points @ np.vstack([np.cos(angles), np.sin(angles)])).argmax(axis=0)]
-    corners = _convex_hull(extremes)
+    extremes = [(np.cos(angle) * x + np.sin(angle) * y).argmax() for angle in angles]
+    corners = _convex_hull(points[extremes])
     within = np.full(len(points), len(corners) > 2)
     for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        within &= (bx - ax) * (points[:, 1] - ay) > (by - ay) * (points[:, 0] - ax)
+        within &= (bx - ax) * (y - ay) > (by - ay) * (x - ax)
     return np.asarray(points[~within])
 
 

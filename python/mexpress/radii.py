@@ -94,7 +94,7 @@ def score_by_radius(
         rule = f"They must be those of the model's {model.n_data} data."
         check.refuse("points", rule, f"{len(where)} points")
     size = _diagonal(where) if diagonal is None else check.positive(diagonal, "diagonal")
-    return radius_curve(model, Places(where), Region(hull(where, "points")), size, percents, threads)
+    return radius_curve(model, Places(where, threads), Region(hull(where, "points")), size, percents, threads)
 
 
 def radius_curve(
@@ -109,7 +109,7 @@ def radius_curve(
     radii = _checked(PERCENTS if percents is None else percents)
     scores, held = np.empty(len(radii)), np.empty(len(radii))
     for k, percent in enumerate(radii):  # one by one: the lists for all radii at once would be large
-        scheme = places.within(percent / 100 * diagonal, threads)
+        scheme = places.within(percent / 100 * diagonal)
         scores[k] = cross_validate_all(model, {"": scheme}, threads)[""].score
         held[k] = scheme.held_out.sizes.mean()
     _, reach = nearest(lattice(domain.corners, QUERIES), places.points)

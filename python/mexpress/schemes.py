@@ -173,32 +173,36 @@ class Places:
     """Positions of the data, (n, d) with d from 1 to 3, checked and sorted once for all searches of neighbours."""
 
     points: Floats
+    threads: int | None = None
+    """Largest number of threads that search."""
 
     @classmethod
-    def of(cls, points: ArrayLike) -> Places:
+    def of(cls, points: ArrayLike, threads: int | None = None) -> Places:
         """Check points of one to three coordinates."""
-        return cls(check.points(points, "points", dimension=None))
+        return cls(check.points(points, "points", dimension=None), threads)
 
     @cached_property
     def order(self) -> Integers:
         """An order of the data in which successive data are near each other."""
         offsets = self.points - self.points.min(axis=0)
         # A little more than the cells of the curve, lest in some units points of a grid fall below the edges of theirs.
-        return _core.hilbert_order(np.floor(offsets / (offsets.max() or 1.0) * _CELLS + 1e-6))
+        return _core.hilbert_order(
+            np.floor(offsets / (offsets.max() or 1.0) * _CELLS + 1e-6), check.threads(self.threads)
+        )
 
-    def within(self, radius: float, threads: int | None = None) -> Scheme:
+    def within(self, radius: float) -> Scheme:
         """List the neighbourhoods of `exclusion_radius`."""
-        reach, workers = _checked_radius(radius), check.threads(threads)
+        reach, workers = _checked_radius(radius), check.threads(self.threads)
         return self._listed(lambda: _core.neighbours_within(self.points, reach, workers))
 
-    def nearest(self, k: int, threads: int | None = None) -> Scheme:
+    def nearest(self, k: int) -> Scheme:
         """List the neighbourhoods of `nearest`."""
-        k, workers = check.count(k, "k", 1, len(self.points)), check.threads(threads)
+        k, workers = check.count(k, "k", 1, len(self.points)), check.threads(self.threads)
         return self._listed(lambda: _core.neighbours_nearest(self.points, k, workers))
 
-    def neighbours(self, k: int, threads: int | None = None) -> Integers:
+    def neighbours(self, k: int) -> Integers:
         """Return the k nearest data of each datum with itself, (n, k), in the order of their indices."""
-        return self.nearest(k, threads).held_out.indices.reshape(-1, k)
+        return self.nearest(k).held_out.indices.reshape(-1, k)
 
     def spacing(self) -> Floats:
         """Return the distance of each datum to the nearest other one, (n,); zero if there is only one."""
@@ -208,12 +212,12 @@ class Places:
         # hypot, since squares of tiny or huge distances are not numbers
         return np.asarray(np.hypot.reduce(pairs[:, 0] - pairs[:, 1], axis=1))
 
-    def matched(self, queries: Floats, min_train: float = 0.5, threads: int | None = None) -> Scheme:
+    def matched(self, queries: Floats, min_train: float = 0.5) -> Scheme:
         """List the neighbourhoods of `matched`."""
         share = check.number(min_train, "min_train", SHARE_RULE, 0.0, strict=True)
         if share > 1:
             check.refuse("min_train", SHARE_RULE, check.describe(min_train))
-        n, workers = len(self.points), check.threads(threads)
+        n, workers = len(self.points), check.threads(self.threads)
         most = max(0, n - 1 - max(1, math.floor(share * n + 1e-9)))
         return self._listed(lambda: _core.neighbours_matched(self.points, queries, most, workers))
 
@@ -223,12 +227,14 @@ class Places:
 
     def lazily_within(self, radius: float) -> LazyNeighbourhoods:
         """Return the neighbourhoods of `exclusion_radius` without a list."""
-        search = _core.LazyNeighbourhoods.within(self.points, _checked_radius(radius))
+        reach, workers = _checked_radius(radius), check.threads(self.threads)
+        search = _core.LazyNeighbourhoods.within(self.points, reach, workers)
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
     def lazily_nearest(self, k: int) -> LazyNeighbourhoods:
         """Return the neighbourhoods of `nearest` without a list."""
-        search = _core.LazyNeighbourhoods.nearest(self.points, check.count(k, "k", 1, len(self.points)))
+        k, workers = check.count(k, "k", 1, len(self.points)), check.threads(self.threads)
+        search = _core.LazyNeighbourhoods.nearest(self.points, k, workers)
         return LazyNeighbourhoods(len(self.points), search, self.order)
 
     def _listed(self, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:
@@ -318,7 +324,7 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     >>> list(scheme.held_out)
     [array([0, 1]), array([0, 1]), array([2])]
     """
-    return Places.of(points).within(radius, threads)
+    return Places.of(points, threads).within(radius)
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
@@ -339,7 +345,7 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     >>> list(mx.schemes.nearest([[0, 0], [1, 0], [3, 0]], k=2).held_out)
     [array([0, 1]), array([0, 1]), array([1, 2])]
     """
-    return Places.of(points).nearest(k, threads)
+    return Places.of(points, threads).nearest(k)
 
 
 def matched(
@@ -391,9 +397,9 @@ def matched(
     >>> mx.schemes.matched(crowded, queries=crowded)
     Scheme(6 pairs over 6 data, 1 held out)
     """
-    places = Places.of(points)
+    places = Places.of(points, threads)
     asked = check.points(queries, "queries", dimension=places.points.shape[1])
-    return places.matched(asked, min_train, threads)
+    return places.matched(asked, min_train)
 
 
 def delaunay(points: ArrayLike) -> Scheme:

@@ -244,8 +244,12 @@ LONG = {
         call = lambda: mx.schemes.delaunay(points)
     """,
     "many neighbours": """
-        points = rng.uniform(size=(60_000, 2))
-        call = lambda: mx.schemes.exclusion_radius(points, 0.05, threads=2)
+        points = rng.uniform(size=(1_000_000, 2))
+        call = lambda: mx.schemes.exclusion_radius(points, 0.003, threads=2)
+    """,
+    "the hull of many points": """
+        points = rng.uniform(size=(2_000_000, 2))
+        call = lambda: mx.placement.farthest_first(points, 1000)
     """,
     "a selection": """
         points = rng.uniform(0, 1000, (400, 2))

@@ -77,7 +77,11 @@ def dense(
         cells = cells[(cells * smaller < (height, width)).all(axis=1)]
     for some in _chunks(cells, 1):
         values[:, some[:, 0], some[:, 1]] = function(some[:, ::-1].astype(np.float64)).T
-    return np.ascontiguousarray(values[:, :height, :width])
+    positions = np.empty((2, height, width), dtype)
+    for rows in _chunks(np.arange(height), width):  # one copy of all would not hear Ctrl-C
+        part = slice(rows[0], rows[-1] + 1)
+        positions[:, part] = values[:, part, :width]
+    return positions
 
 
 def _interpolated(

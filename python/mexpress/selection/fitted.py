@@ -156,7 +156,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         """
         data = self._kept_data
         fit = self.least_squares(threads=threads)
-        return radius_curve(fit, Places(data.points), data.domain, data.diagonal, percents, threads)
+        return radius_curve(fit, Places(data.points, threads), data.domain, data.diagonal, percents, threads)
 
     def plot_radii(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Plot the selected model's score against the radius of the held-out data (extra ``plot``).

@@ -193,7 +193,7 @@ class Surroundings:
         """Search the neighbours of all points."""
         n = len(points)
         k = min(_REACH + 1, n)
-        near = Places(points).neighbours(k, threads)
+        near = Places(points, threads).neighbours(k)
         distances = np.hypot(*np.moveaxis(points[near] - points[:, None], 2, 0))
         distances[near == np.arange(n)[:, None]] = -1.0
         order = np.argsort(distances, axis=1, kind="stable")
@@ -361,7 +361,7 @@ def _scores(
 ) -> tuple[Floats, float]:
     """Scores of all data by a selection for some of them, and sigma; `steps` are their errors against companions."""
     n = len(data.points)
-    fit, scheme = selection.least_squares(threads=threads), Places(data.points[some]).within(radius, threads)
+    fit, scheme = selection.least_squares(threads=threads), Places(data.points[some], threads).within(radius)
     weights = np.ones(len(some)) if selection.data.weights is None else selection.data.weights
     lengths, freedom = studentised_lengths(fit, scheme, weights, threads)
     kept = np.zeros(n, dtype=np.bool_)

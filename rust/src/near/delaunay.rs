@@ -3,7 +3,7 @@
 use spade::{DelaunayTriangulation, Point2, Triangulation, mitigate_underflow};
 
 use crate::error::Error;
-use crate::near::neighbours::{places, scaled, unit_scale};
+use crate::near::neighbours::{scaled, unit_scale};
 use crate::pool::Pool;
 use crate::sets::{MOST_MEMBERS, Sets};
 
@@ -49,6 +49,21 @@ pub fn delaunay(points: &[f64], pool: &Pool<'_>) -> Result<Sets, Error> {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
     Ok(place_of.into_iter().map(|place| data_at(&joined[place], &members)).collect())
+}
+
+/// The distinct places, and the points at each of them, sorted.
+fn places(points: &[[f64; 2]]) -> (Vec<[f64; 2]>, Sets) {
+    let mut items: Vec<usize> = (0..points.len()).collect();
+    items.sort_unstable_by(|&i, &j| {
+        let by_place = points[i].partial_cmp(&points[j]).unwrap_or(std::cmp::Ordering::Equal);
+        by_place.then(i.cmp(&j))
+    });
+    let (mut distinct, mut offsets) = (Vec::new(), vec![0]);
+    for group in items.chunk_by(|&i, &j| points[i] == points[j]) {
+        distinct.push(points[group[0]]);
+        offsets.push(offsets[distinct.len() - 1] + group.len());
+    }
+    (distinct, Sets { offsets, items })
 }
 
 fn data_at(places: &[usize], members: &Sets) -> Vec<usize> {

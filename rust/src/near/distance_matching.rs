@@ -11,10 +11,9 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use rstar::Point;
-
 use crate::error::Error;
-use crate::near::neighbours::{Search, all_nearest, places, scaled, tree, unit_scale};
+use crate::near::neighbours::{all_nearest, scaled, unit_scale};
+use crate::near::tree::{Nearest, Tree};
 use crate::pool::Pool;
 use crate::sets::Sets;
 
@@ -70,16 +69,12 @@ fn in_space<const N: usize>(
     queries: &[[f64; N]],
     most: usize,
     pool: &Pool<'_>,
-) -> Result<Sets, Error>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    let (distinct, members) = places(points);
-    let tree = tree(&distinct);
+) -> Result<Sets, Error> {
+    let tree = Tree::new(points, pool)?;
     let mut wanted = vec![0; queries.len()];
     pool.run(
         wanted.chunks_mut(CHUNK).zip(queries.chunks(CHUNK)),
-        || Search::new(&tree, &members),
+        || Nearest::new(&tree),
         |search, (wanted, queries)| {
             for (to, query) in wanted.iter_mut().zip(queries) {
                 *to = search.find(query, 1)[0].0;
@@ -90,28 +85,34 @@ where
     let open: Vec<u64> = (0..points.len()).map(|s| wanted[s * wanted.len() / points.len()]).collect();
     // Each datum has a distance to be done at: one other is left to it at least.
     let most = most.min(points.len().saturating_sub(2));
-    let sizes = match_distances(points, Search::new(&tree, &members), &open, most, pool)?;
-    all_nearest(points, &sizes, pool)
+    let sizes = match_distances(points, &tree, &open, most, pool)?;
+    all_nearest(&tree, &sizes, pool)
 }
 
 /// How many of the nearest of each datum are held out, itself counted, given the squared distances (bits of them) at
 /// which places open.
 fn match_distances<const N: usize>(
     points: &[[f64; N]],
-    search: Search<'_, N>,
+    tree: &Tree<N>,
     open: &[u64],
     most: usize,
     pool: &Pool<'_>,
-) -> Result<Vec<usize>, Error>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
+) -> Result<Vec<usize>, Error> {
     let n = points.len();
     let mut sizes = vec![1; n];
     if most == 0 {
         return Ok(sizes);
     }
-    let mut rings = Rings { points, search, lists: vec![(0, Vec::new()); n] };
+    let mut rings = Rings { points, search: Nearest::new(tree), lists: vec![Ring::default(); n] };
+    pool.run(
+        rings.lists.chunks_mut(CHUNK).zip(points.chunks(CHUNK)),
+        || Nearest::new(tree),
+        |search, (lists, points)| {
+            for (ring, point) in lists.iter_mut().zip(points) {
+                ring.find(search, point, 1, n);
+            }
+        },
+    )?;
     let mut queue: BinaryHeap<_> = (0..n).map(|i| Reverse((rings.beyond(i, 1)[0], i))).collect();
     let (mut done, mut free, mut group) = (0, 0, Vec::new());
     while let Some(Reverse((square, first))) = queue.pop() {
@@ -143,32 +144,44 @@ where
 }
 
 /// Sorted squared distances from each datum to the others, found as far as they are needed.
-struct Rings<'a, const N: usize>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
+struct Rings<'a, const N: usize> {
     points: &'a [[f64; N]],
-    search: Search<'a, N>,
-    /// The rank of the first, and some of them.
-    lists: Vec<(usize, Vec<u64>)>,
+    search: Nearest<'a, N>,
+    lists: Vec<Ring>,
 }
 
-impl<const N: usize> Rings<'_, N>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
+/// The distances from one datum that are known: successive ones, the first of which has a rank.
+#[derive(Clone, Default)]
+struct Ring {
+    start: usize,
+    squares: Vec<u64>,
+}
+
+impl Ring {
+    /// Replaces them by those from a rank on, of so many data.
+    fn find<const N: usize>(
+        &mut self,
+        search: &mut Nearest<'_, N>,
+        point: &[f64; N],
+        rank: usize,
+        count: usize,
+    ) {
+        let found = search.find(point, (2 * rank).max(FIRST).min(count));
+        found.sort_unstable();
+        self.squares.clear();
+        self.squares.extend(found[rank..].iter().map(|&(square, _)| square));
+        self.start = rank;
+    }
+}
+
+impl<const N: usize> Rings<'_, N> {
     /// Those of datum `i` from a rank on, one at least; it is its own nearest, of rank zero.
     fn beyond(&mut self, i: usize, rank: usize) -> &[u64] {
-        let (start, known) = &mut self.lists[i];
-        if rank >= *start + known.len() {
-            let k = (2 * rank).max(FIRST).min(self.points.len());
-            let found = self.search.find(&self.points[i], k);
-            found.sort_unstable();
-            known.clear();
-            known.extend(found[rank..].iter().map(|&(square, _)| square));
-            *start = rank;
+        let ring = &mut self.lists[i];
+        if rank >= ring.start + ring.squares.len() {
+            ring.find(&mut self.search, &self.points[i], rank, self.points.len());
         }
-        &known[rank - *start..]
+        &ring.squares[rank - ring.start..]
     }
 
     /// The first rank, from one to another, that is not passed.

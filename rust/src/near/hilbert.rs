@@ -2,6 +2,7 @@
 
 use crate::error::Error;
 use crate::near::neighbours::unit_scale;
+use crate::pool::Pool;
 
 /// Steps of subdivision: cells of a 65,536th of the extent.
 const BITS: u32 = 16;
@@ -12,12 +13,13 @@ const BITS: u32 = 16;
 /// indices. Fails as [`crate::near::neighbours::within`] does.
 ///
 /// ```
-/// use mexpress::near::hilbert::hilbert_order;
+/// use mexpress::{near::hilbert::hilbert_order, pool::Pool};
+/// let flag = std::sync::atomic::AtomicBool::new(false);
 /// let corners = [0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0];
-/// assert_eq!(hilbert_order(&corners, 2)?, [0, 3, 1, 2]);
+/// assert_eq!(hilbert_order(&corners, 2, &Pool::new(1, &flag))?, [0, 3, 1, 2]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn hilbert_order(points: &[f64], dimension: usize) -> Result<Vec<usize>, Error> {
+pub fn hilbert_order(points: &[f64], dimension: usize, pool: &Pool) -> Result<Vec<usize>, Error> {
     if !(1..=3).contains(&dimension) {
         return Err(Error::Dimension { given: dimension });
     }
@@ -30,17 +32,28 @@ pub fn hilbert_order(points: &[f64], dimension: usize) -> Result<Vec<usize>, Err
     }
     let extent = (0..dimension).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
     let cells = f64::from((1u32 << BITS) - 1) / if extent > 0.0 { extent } else { 1.0 };
-    let mut keyed: Vec<(u64, usize)> = points
-        .chunks_exact(dimension)
-        .enumerate()
-        .map(|(i, point)| {
-            let cell = |axis: usize| ((point[axis] * scale - low[axis]) * cells) as u32;
-            let mut cells = [0; 3];
-            (0..dimension).for_each(|axis| cells[axis] = cell(axis));
-            (position(&mut cells[..dimension]), i)
-        })
-        .collect();
-    keyed.sort_unstable();
+    let key = |point: &[f64]| {
+        let cell = |axis: usize| ((point[axis] * scale - low[axis]) * cells) as u32;
+        let mut cells = [0; 3];
+        (0..dimension).for_each(|axis| cells[axis] = cell(axis));
+        position(&mut cells[..dimension])
+    };
+    let count = points.len() / dimension;
+    let mut keyed: Vec<(u64, usize)> = (0..count).map(|i| (0, i)).collect();
+    let part = count.div_ceil(pool.threads()).max(1);
+    let parts = keyed.chunks_mut(part).zip(points.chunks(part * dimension));
+    pool.run(
+        parts,
+        || (),
+        |(), (keyed, points)| {
+            for ((to, _), point) in keyed.iter_mut().zip(points.chunks_exact(dimension)) {
+                *to = key(point);
+            }
+            keyed.sort_unstable();
+        },
+    )?;
+    // It merges the parts, which it finds sorted.
+    keyed.sort();
     Ok(keyed.into_iter().map(|(_, i)| i).collect())
 }
 
@@ -75,6 +88,8 @@ fn position(cell: &mut [u32]) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
 
     #[test]
@@ -84,7 +99,10 @@ mod tests {
             let points: Vec<f64> = (0..side.pow(dimension as u32))
                 .flat_map(|i| (0..dimension).map(move |axis| (i / side.pow(axis as u32) % side) as f64))
                 .collect();
-            let order = hilbert_order(&points, dimension).unwrap();
+            let flag = AtomicBool::new(false);
+            let [order, shared] =
+                [1, 3].map(|t| hilbert_order(&points, dimension, &Pool::new(t, &flag)).unwrap());
+            assert_eq!(order, shared);
             let place = |i: usize| &points[i * dimension..(i + 1) * dimension];
             for pair in order.windows(2) {
                 let steps: f64 = place(pair[0]).iter().zip(place(pair[1])).map(|(a, b)| (a - b).abs()).sum();

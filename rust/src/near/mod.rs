@@ -4,3 +4,4 @@ pub mod delaunay;
 pub mod distance_matching;
 pub mod hilbert;
 pub mod neighbours;
+mod tree;

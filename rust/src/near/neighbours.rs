@@ -6,18 +6,10 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rstar::primitives::GeomWithData;
-use rstar::{ParentNode, Point, PointDistance, RTree, RTreeNode};
-
 use crate::error::Error;
+use crate::near::tree::{LEAF, LEAVES_A_TASK, Nearest, Tree, Within};
 use crate::pool::Pool;
 use crate::sets::{MOST_MEMBERS, Sets};
-
-/// Points a task looks after: enough to hide the queue, few enough to balance crowded and sparse regions.
-const CHUNK: usize = 256;
-
-/// Candidates listed before the nearest are told from the others, as a multiple of how many are wanted.
-const CANDIDATES: usize = 2;
 
 /// For every point, the points within `radius` of it, itself included, sorted by index.
 ///
@@ -43,7 +35,7 @@ pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Res
 
 /// For every point, itself and its `k - 1` nearest others, sorted by index.
 ///
-/// Of points at the same distance those with smaller indices are taken, but a point always belongs to its singletons
+/// Of points at the same distance those with smaller indices are taken, but a point always belongs to its own
 /// set, however many coincide with it. Fails as [`within`] does, and if `k` is zero or above the number of
 /// points.
 ///
@@ -66,8 +58,8 @@ pub fn nearest(points: &[f64], dimension: usize, k: usize, pool: &Pool) -> Resul
     }
     let sizes = vec![k; n];
     match dimension {
-        1 | 2 => all_nearest::<2>(&scaled(points, dimension, scale), &sizes, pool),
-        _ => all_nearest::<3>(&scaled(points, dimension, scale), &sizes, pool),
+        1 | 2 => all_nearest(&Tree::<2>::new(&scaled(points, dimension, scale), pool)?, &sizes, pool),
+        _ => all_nearest(&Tree::<3>::new(&scaled(points, dimension, scale), pool)?, &sizes, pool),
     }
 }
 
@@ -99,69 +91,85 @@ pub(crate) fn unit_scale(values: impl Iterator<Item = f64>) -> Result<f64, Error
     Ok(f64::from_bits((2046 - exponent) << 52))
 }
 
-/// The points as arrays; missing coordinates are zero, since the trees want two at least.
+/// The points as arrays; missing coordinates are zero.
 pub(crate) fn scaled<const N: usize>(points: &[f64], dimension: usize, scale: f64) -> Vec<[f64; N]> {
     let lift = |point: &[f64]| std::array::from_fn(|axis| point.get(axis).map_or(0.0, |value| value * scale));
     points.chunks_exact(dimension).map(lift).collect()
 }
 
-/// The distinct places, and the points at each of them, sorted.
-pub(crate) fn places<const N: usize>(points: &[[f64; N]]) -> (Vec<[f64; N]>, Sets) {
-    let mut items: Vec<usize> = (0..points.len()).collect();
-    items.sort_unstable_by(|&i, &j| {
-        let by_place = points[i].partial_cmp(&points[j]).unwrap_or(std::cmp::Ordering::Equal);
-        by_place.then(i.cmp(&j))
-    });
-    let (mut distinct, mut offsets) = (Vec::new(), vec![0]);
-    for group in items.chunk_by(|&i, &j| points[i] == points[j]) {
-        distinct.push(points[group[0]]);
-        offsets.push(offsets[distinct.len() - 1] + group.len());
-    }
-    (distinct, Sets { offsets, items })
-}
-
-pub(crate) type Place<const N: usize> = GeomWithData<[f64; N], usize>;
-pub(crate) type Tree<const N: usize> = RTree<Place<N>>;
-
-pub(crate) fn tree<const N: usize>(points: &[[f64; N]]) -> Tree<N>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    let numbered = points.iter().enumerate().map(|(i, &point)| GeomWithData::new(point, i));
-    RTree::bulk_load(numbered.collect())
-}
-
-fn all_within<const N: usize>(points: &[[f64; N]], square: f64, pool: &Pool) -> Result<Sets, Error>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    let tree = tree(points);
-    let mut chunks = vec![Sets { offsets: vec![0], items: Vec::new() }; points.len().div_ceil(CHUNK)];
+fn all_within<const N: usize>(points: &[[f64; N]], square: f64, pool: &Pool) -> Result<Sets, Error> {
+    let tree = Tree::new(points, pool)?;
     let total = AtomicUsize::new(0);
-    let search = |(): &mut (), (sets, chunk): (&mut Sets, &[[f64; N]])| {
-        for &point in chunk {
-            if total.load(Ordering::Relaxed) > MOST_MEMBERS {
-                return;
+    // In the order of the tree's leaves, whose points share a search.
+    let mut counts = vec![0; points.len()];
+    pool.run(
+        counts.chunks_mut(LEAVES_A_TASK * LEAF).enumerate(),
+        || Within::new(&tree, square),
+        |search, (task, counts)| {
+            for (leaf, counts) in counts.chunks_mut(LEAF).enumerate() {
+                if total.load(Ordering::Relaxed) > MOST_MEMBERS {
+                    return;
+                }
+                for (count, entry) in counts.iter_mut().zip(search.turn_to_leaf(task * LEAVES_A_TASK + leaf))
+                {
+                    *count = search.count(&entry.point);
+                }
+                total.fetch_add(counts.iter().sum(), Ordering::Relaxed);
             }
-            let start = sets.items.len();
-            sets.items.extend(tree.locate_within_distance(point, square).map(|found| found.data));
-            sets.items[start..].sort_unstable();
-            sets.offsets.push(sets.items.len());
-            total.fetch_add(sets.items.len() - start, Ordering::Relaxed);
-        }
-    };
-    pool.run(chunks.iter_mut().zip(points.chunks(CHUNK)), || (), search)?;
+        },
+    )?;
     if total.into_inner() > MOST_MEMBERS {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
-    joined(chunks, pool)
+    let mut sizes = vec![0; points.len()];
+    for (entry, count) in tree.entries.iter().zip(counts) {
+        sizes[entry.index] = count;
+    }
+    let workspace = || Within::new(&tree, square);
+    filled(&tree, &sizes, pool, workspace, |search, leaf, rows| {
+        for (entry, row) in search.turn_to_leaf(leaf).iter().zip(rows) {
+            search.fill(&entry.point, row);
+        }
+    })
+}
+
+/// Sets of known sizes, each sorted, filled in place by a function of a leaf and of the rows of its entries.
+fn filled<const N: usize, W>(
+    tree: &Tree<N>,
+    sizes: &[usize],
+    pool: &Pool,
+    workspace: impl Fn() -> W + Sync,
+    fill: impl Fn(&mut W, usize, &mut [&mut [usize]]) + Sync,
+) -> Result<Sets, Error> {
+    let mut offsets = vec![0; sizes.len() + 1];
+    for (i, size) in sizes.iter().enumerate() {
+        offsets[i + 1] = offsets[i] + size;
+    }
+    let mut items = vec![0; offsets[sizes.len()]];
+    let mut rest = &mut items[..];
+    let mut by_index: Vec<&mut [usize]> = Vec::with_capacity(sizes.len());
+    for &size in sizes {
+        let (row, after) = rest.split_at_mut(size);
+        rest = after;
+        by_index.push(row);
+    }
+    let mut rows: Vec<&mut [usize]> =
+        tree.entries.iter().map(|entry| std::mem::take(&mut by_index[entry.index])).collect();
+    pool.run(rows.chunks_mut(LEAVES_A_TASK * LEAF).enumerate(), workspace, |scratch, (task, rows)| {
+        for (leaf, rows) in rows.chunks_mut(LEAF).enumerate() {
+            fill(scratch, task * LEAVES_A_TASK + leaf, rows);
+            rows.iter_mut().for_each(|row| row.sort_unstable());
+        }
+    })?;
+    Ok(Sets { offsets, items })
 }
 
 /// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
 ///
 /// ```
-/// use mexpress::near::neighbours::LazyNeighbourhoods;
-/// let lazy = LazyNeighbourhoods::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0)?;
+/// use mexpress::{near::neighbours::LazyNeighbourhoods, pool::Pool};
+/// let flag = std::sync::atomic::AtomicBool::new(false);
+/// let lazy = LazyNeighbourhoods::within(&[0.0, 3.0, 1.0, 1.5], 1, 1.0, &Pool::new(1, &flag))?;
 /// let mut members = Vec::new();
 /// lazy.members(2, &mut members);
 /// members.sort();
@@ -181,59 +189,54 @@ enum Index {
     Space(Balls<3>),
 }
 
-struct Balls<const N: usize>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
+struct Balls<const N: usize> {
     points: Vec<[f64; N]>,
     tree: Tree<N>,
     reach: Reach,
 }
 
+#[derive(Clone, Copy)]
 enum Reach {
-    /// The square of a radius; the tree is of points.
+    /// The square of a radius.
     Within(f64),
-    /// A number of points; the tree is of places, with these members.
-    Nearest(usize, Sets),
+    /// A number of points.
+    Nearest(usize),
 }
 
 impl LazyNeighbourhoods {
     /// Neighbourhoods of all points within a radius, as [`within`] lists them.
-    pub fn within(points: &[f64], dimension: usize, radius: f64) -> Result<Self, Error> {
+    pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Result<Self, Error> {
         let scale = checked_scale(points, dimension)?;
-        let square = (radius.max(0.0) * scale).powi(2);
-        let index = match dimension {
-            1 | 2 => Index::Plane(Balls::within(scaled(points, dimension, scale), square)),
-            _ => Index::Space(Balls::within(scaled(points, dimension, scale), square)),
-        };
-        Ok(Self::new(index, points.len() / dimension))
+        Self::new(points, dimension, scale, Reach::Within((radius.max(0.0) * scale).powi(2)), pool)
     }
 
     /// Neighbourhoods of the `k` nearest points, as [`nearest`] lists them.
-    pub fn nearest(points: &[f64], dimension: usize, k: usize) -> Result<Self, Error> {
+    pub fn nearest(points: &[f64], dimension: usize, k: usize, pool: &Pool) -> Result<Self, Error> {
         let scale = checked_scale(points, dimension)?;
         let count = points.len() / dimension;
         if k == 0 || k > count {
             return Err(Error::Index { index: k, bound: count + 1 });
         }
-        let index = match dimension {
-            1 | 2 => Index::Plane(Balls::nearest(scaled(points, dimension, scale), k)),
-            _ => Index::Space(Balls::nearest(scaled(points, dimension, scale), k)),
-        };
-        Ok(Self::new(index, count))
+        Self::new(points, dimension, scale, Reach::Nearest(k), pool)
     }
 
-    fn new(index: Index, count: usize) -> Self {
+    fn new(points: &[f64], dimension: usize, scale: f64, reach: Reach, pool: &Pool) -> Result<Self, Error> {
         const SAMPLES: usize = 64;
+        let index = match dimension {
+            1 | 2 => Index::Plane(Balls::new(scaled(points, dimension, scale), reach, pool)?),
+            _ => Index::Space(Balls::new(scaled(points, dimension, scale), reach, pool)?),
+        };
+        let count = points.len() / dimension;
         let singletons = Sets { offsets: (0..=count).collect(), items: (0..count).collect() };
         let mut lazy = Self { index, singletons, mean: 0.0 };
         let mut members = Vec::new();
         let sampled: Vec<usize> = (0..count).step_by(count.div_ceil(SAMPLES).max(1)).collect();
         for &i in &sampled {
+            pool.proceed()?;
             lazy.members(i, &mut members);
             lazy.mean += members.len() as f64 / sampled.len() as f64;
         }
-        lazy
+        Ok(lazy)
     }
 
     /// Replaces `out` by the neighbourhood of point `i`, in no order.
@@ -245,166 +248,42 @@ impl LazyNeighbourhoods {
     }
 }
 
-impl<const N: usize> Balls<N>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    fn within(points: Vec<[f64; N]>, square: f64) -> Self {
-        Self { tree: tree(&points), points, reach: Reach::Within(square) }
-    }
-
-    fn nearest(points: Vec<[f64; N]>, k: usize) -> Self {
-        let (distinct, members) = places(&points);
-        Self { tree: tree(&distinct), points, reach: Reach::Nearest(k, members) }
+impl<const N: usize> Balls<N> {
+    fn new(points: Vec<[f64; N]>, reach: Reach, pool: &Pool) -> Result<Self, Error> {
+        Ok(Self { tree: Tree::new(&points, pool)?, points, reach })
     }
 
     fn members(&self, i: usize, out: &mut Vec<usize>) {
-        out.clear();
-        match &self.reach {
-            Reach::Within(square) => {
-                out.extend(self.tree.locate_within_distance(self.points[i], *square).map(|found| found.data));
-            }
-            Reach::Nearest(k, members) => {
-                out.resize(*k, 0);
-                Search::new(&self.tree, members).nearest(i, &self.points[i], out);
+        match self.reach {
+            Reach::Within(square) => Within::new(&self.tree, square).list(&self.points[i], out),
+            Reach::Nearest(k) => {
+                out.resize(k, 0);
+                Nearest::new(&self.tree).fill(i, &self.points[i], out);
             }
         }
     }
-}
-
-fn joined(parts: Vec<Sets>, pool: &Pool) -> Result<Sets, Error> {
-    let mut offsets = Vec::with_capacity(1 + parts.iter().map(Sets::len).sum::<usize>());
-    let mut items = Vec::with_capacity(parts.iter().map(|part| part.items.len()).sum());
-    offsets.push(0);
-    for part in parts {
-        pool.proceed()?;
-        offsets.extend(part.offsets[1..].iter().map(|offset| items.len() + offset));
-        items.extend(part.items);
-    }
-    Ok(Sets { offsets, items })
 }
 
 /// For every point as many of the nearest as asked for, itself counted, sorted by index.
 pub(crate) fn all_nearest<const N: usize>(
-    points: &[[f64; N]],
+    tree: &Tree<N>,
     sizes: &[usize],
     pool: &Pool,
-) -> Result<Sets, Error>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    // A tree of places, not of points: a query would visit every point that coincides with its singletons.
-    let (distinct, members) = places(points);
-    let tree = tree(&distinct);
-    let total = sizes.iter().fold(0, |total: usize, &k| total.saturating_add(k));
-    if total > MOST_MEMBERS {
+) -> Result<Sets, Error> {
+    if sizes.iter().fold(0, |total: usize, &k| total.saturating_add(k)) > MOST_MEMBERS {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
-    let mut items = vec![0; total];
-    let mut rest = &mut items[..];
-    let mut rows: Vec<Option<&mut [usize]>> = Vec::with_capacity(points.len());
-    for &k in sizes {
-        let (row, after) = rest.split_at_mut(k);
-        rest = after;
-        rows.push(Some(row));
-    }
-    // In the order of places, so that successive searches visit the same part of the tree.
-    let mut ordered: Vec<(usize, &mut [usize])> =
-        members.items.iter().filter_map(|&i| rows[i].take().map(|row| (i, row))).collect();
-    pool.run(
-        ordered.chunks_mut(CHUNK),
-        || Search::new(&tree, &members),
-        |search, chunk| {
-            for (i, row) in chunk {
-                search.nearest(*i, &points[*i], row);
-                row.sort_unstable();
+    filled(
+        tree,
+        sizes,
+        pool,
+        || Nearest::new(tree),
+        |search, leaf, rows| {
+            for (entry, row) in tree.leaf(leaf).iter().zip(rows) {
+                search.fill(entry.index, &entry.point, row);
             }
         },
-    )?;
-    let mut offsets = vec![0];
-    offsets.extend(sizes.iter().scan(0, |end, k| {
-        *end += k;
-        Some(*end)
-    }));
-    Ok(Sets { offsets, items })
-}
-
-/// Depth first, the nearer branches first. The tree's singletons iterator takes twice the time, and keeps all ties.
-pub(crate) struct Search<'a, const N: usize>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    tree: &'a Tree<N>,
-    members: &'a Sets,
-    k: usize,
-    /// Squared distances, as bits (which order numbers that are not negative), and indices.
-    found: Vec<(u64, usize)>,
-    pending: Vec<(f64, &'a ParentNode<Place<N>>)>,
-}
-
-impl<'a, const N: usize> Search<'a, N>
-where
-    [f64; N]: Point<Scalar = f64>,
-{
-    /// In a tree of places with these members.
-    pub(crate) fn new(tree: &'a Tree<N>, members: &'a Sets) -> Self {
-        Self { tree, members, k: 0, found: Vec::new(), pending: Vec::new() }
-    }
-
-    /// Fills the row with the nearest of point `i`, itself one of them, in no order.
-    pub(crate) fn nearest(&mut self, i: usize, point: &[f64; N], row: &mut [usize]) {
-        let k = row.len();
-        for (to, &mut (_, j)) in row.iter_mut().zip(self.find(point, k)) {
-            *to = j;
-        }
-        if !row.contains(&i) {
-            row[k - 1] = i;
-        }
-    }
-
-    /// The `k` nearest of a place, as squared distances (bits of them) and indices, in no order.
-    pub(crate) fn find(&mut self, point: &[f64; N], k: usize) -> &mut [(u64, usize)] {
-        self.k = k;
-        self.found.clear();
-        self.pending.push((0.0, self.tree.root()));
-        let mut bound = f64::INFINITY;
-        while let Some((distance, node)) = self.pending.pop() {
-            if distance <= bound {
-                self.open(node, point, &mut bound);
-            }
-        }
-        self.keep_nearest();
-        &mut self.found
-    }
-
-    fn open(&mut self, node: &'a ParentNode<Place<N>>, point: &[f64; N], bound: &mut f64) {
-        let start = self.pending.len();
-        for child in node.children() {
-            match child {
-                RTreeNode::Parent(parent) => {
-                    self.pending.push((parent.envelope().distance_2(point), parent));
-                }
-                RTreeNode::Leaf(place) => {
-                    let distance = place.distance_2(point);
-                    if distance <= *bound {
-                        let members = self.members.get(place.data).iter().take(self.k);
-                        self.found.extend(members.map(|&j| (distance.to_bits(), j)));
-                    }
-                }
-            }
-        }
-        self.pending[start..].sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-        if self.found.len() >= CANDIDATES * self.k {
-            *bound = self.keep_nearest();
-        }
-    }
-
-    /// Drops all but the `k` nearest, the last of which comes last; its squared distance.
-    fn keep_nearest(&mut self) -> f64 {
-        let (_, &mut (bits, _), _) = self.found.select_nth_unstable(self.k - 1);
-        self.found.truncate(self.k);
-        f64::from_bits(bits)
-    }
+    )
 }
 
 #[cfg(test)]

@@ -14,15 +14,31 @@ pub(super) struct LazyNeighbourhoods(pub(super) neighbours::LazyNeighbourhoods);
 #[pymethods]
 impl LazyNeighbourhoods {
     #[staticmethod]
-    fn within(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, radius: f64) -> PyResult<Self> {
+    fn within(
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f64>,
+        radius: f64,
+        threads: usize,
+    ) -> PyResult<Self> {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
-        Ok(Self(py.detach(|| neighbours::LazyNeighbourhoods::within(points, dimension, radius))?))
+        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+            neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)
+        })?;
+        Ok(Self(found))
     }
 
     #[staticmethod]
-    fn nearest(py: Python<'_>, points: PyReadonlyArray2<'_, f64>, k: usize) -> PyResult<Self> {
+    fn nearest(
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f64>,
+        k: usize,
+        threads: usize,
+    ) -> PyResult<Self> {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
-        Ok(Self(py.detach(|| neighbours::LazyNeighbourhoods::nearest(points, dimension, k))?))
+        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+            neighbours::LazyNeighbourhoods::nearest(points, dimension, k, pool)
+        })?;
+        Ok(Self(found))
     }
 
     #[getter]
@@ -31,15 +47,21 @@ impl LazyNeighbourhoods {
     }
 }
 
+/// What sorting takes for a coordinate, in multiply-adds.
+const HILBERT: f64 = 1e3;
+
 /// The points in the order of a curve that fills the space.
 #[pyfunction]
 pub(super) fn hilbert_order<'py>(
     py: Python<'py>,
     points: PyReadonlyArray2<'py, f64>,
+    threads: usize,
 ) -> PyResult<Array1<'py, i64>> {
     let dimension = points.shape()[1];
     let points = matrix(&points)?;
-    let order = py.detach(|| hilbert::hilbert_order(points, dimension))?;
+    let order = interruptible(py, HILBERT * points.len() as f64, threads, |pool| {
+        hilbert::hilbert_order(points, dimension, pool)
+    })?;
     Ok(indices(py, order))
 }
 
