@@ -1,6 +1,7 @@
 //! One fit of all rows: the orthonormal basis of a design, and the dense factorisations under it.
 
 mod cholesky_qr;
+mod extremes;
 pub mod factor;
 mod householder;
 pub mod linalg;

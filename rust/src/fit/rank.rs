@@ -1,6 +1,7 @@
 //! Rank, and what else the triangle of a factored design tells.
 
 use crate::error::Error;
+use crate::fit::extremes::{EFFORTS, conditioning};
 use crate::fit::linalg::{self, dot};
 use crate::pool::Pool;
 
@@ -161,19 +162,15 @@ pub(crate) fn leading_rank(
         column(j)[j].abs() <= tolerance * longest
     };
     let all = (0..order).find(vanishing).unwrap_or(order);
-    let leading = |count: usize| {
-        let mut r = vec![0.0; count * count];
-        for (j, target) in r.chunks_exact_mut(count).enumerate() {
-            target[..=j].copy_from_slice(column(j));
-        }
-        r
-    };
     first_deficient(all, |count| {
-        let r = leading(count);
-        // And most others pass without a decomposition, as in `Top::new`.
-        if linalg::inverse_norm(&r, count).recip() > 2.0 * tolerance * (count as f64).sqrt() {
-            return Ok(true);
+        for (steps, margin) in EFFORTS {
+            let ratio = conditioning(triangle, order, count, steps) / tolerance;
+            if !(0.98..margin).contains(&ratio) {
+                return Ok(ratio > 1.0);
+            }
         }
+        let mut r = vec![0.0; count * count];
+        r.chunks_exact_mut(count).enumerate().for_each(|(j, to)| to[..=j].copy_from_slice(column(j)));
         Ok(numerical_rank(&linalg::thin_svd(r, count, count, pool)?.s, tolerance) == count)
     })
     .map(|first| first.map_or(all, |count| count - 1))

@@ -27,7 +27,7 @@ pub(crate) fn least_eigenvalue(system: &mut Bordered, order: usize, responses: u
 }
 
 /// What a probe's `d^T M^-1 d` says of lambda_min, if anything.
-pub(super) fn by_probe(square: f64, order: usize) -> f64 {
+pub(crate) fn by_probe(square: f64, order: usize) -> f64 {
     let grown = square - 10.0 * order as f64;
     if grown > 0.0 { grown.recip() } else { f64::INFINITY }
 }

@@ -6,8 +6,8 @@ use super::curves::{AllModels, Outcome, PairCurve, Visited};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
-use crate::fit::linalg::dot;
-use crate::holdout::probes::sign;
+use crate::holdout::kernel::PANEL;
+use crate::holdout::probes::{by_probe, sign};
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
 use crate::holdout::walk::{LastPair, Workspace};
@@ -44,9 +44,11 @@ impl AllModels<'_> {
             last: LastPair::default(),
             factor: DdFactor::default(),
             refit: Refit::default(),
+            solved: None,
         };
         let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
         pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
+            rescue.solved = None;
             rescue.last.clear(self.ground.rows.len());
             rescue.last.gram.copy_from(whole);
             for (&visited, result) in steps.iter().zip(results) {
@@ -78,54 +80,104 @@ struct Rescue<'a> {
     last: LastPair<DdGram>,
     factor: DdFactor,
     refit: Refit,
+    solved: Option<Solved>,
+}
+
+/// What the last set was solved with, and how far its training rows determine the models.
+#[derive(Clone, Copy)]
+enum Solved {
+    /// The factor with twice the digits, which serves this many of the models.
+    TwiceTheDigits(usize),
+    /// The triangle of the training rows, this many columns of it.
+    Refitted(usize),
 }
 
 impl Rescue<'_> {
     /// Fills the curve of a pair, and tells how many of the models are defined.
     fn solve(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<usize, Error> {
-        let factor = self.models.ground.factor;
         self.work.list_pair(self.models.ground, visited.scheme, visited.pair);
-        self.curve.squares.fill(0.0);
-        let enough = factor.total_rows >= factor.rank + self.work.rows.len();
-        if enough && self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
-            match self.curve.cut(self.models, &self.factor.upper(), pool) {
-                Outcome::All => return Ok(self.models.cuts.len()),
-                Outcome::Leading(defined) => return Ok(defined),
+        // Data in a cluster tend to hold out the same set.
+        let solved = match (self.update_gram(), self.solved) {
+            (false, Some(solved)) => solved,
+            _ => self.factor(pool)?,
+        };
+        self.solved = Some(solved);
+        let defined = match solved {
+            Solved::TwiceTheDigits(defined) => defined,
+            Solved::Refitted(leading) => self.models.cuts.partition_point(|&cut| cut <= leading),
+        };
+        self.curve.squares[..defined].fill(0.0);
+        self.curve.squares[defined..].fill(f64::NAN);
+        match solved {
+            Solved::TwiceTheDigits(_) => self.predict(defined),
+            Solved::Refitted(leading) => self.predict_refitted(leading, defined)?,
+        }
+        Ok(defined)
+    }
+
+    /// Factors the set at hand.
+    fn factor(&mut self, pool: &Pool<'_>) -> Result<Solved, Error> {
+        let models = self.models;
+        if self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
+            match self.curve.cut(models, &self.factor.upper(), pool) {
+                Outcome::All => return Ok(Solved::TwiceTheDigits(models.cuts.len())),
+                Outcome::Leading(defined) => return Ok(Solved::TwiceTheDigits(defined)),
                 Outcome::Close => pool.proceed()?,
             }
         }
-        self.refitted(pool)
+        let rows = &self.work.rows;
+        Ok(Solved::Refitted(self.refit.reduce_leading(models.ground.factor, &self.problem, pool, rows)?))
     }
 
-    /// As `PairCurve::primal`, with twice the digits; an estimate of lambda_min(M).
+    /// Factors with twice the digits; an estimate of lambda_min(M).
     fn double_double(&mut self) -> f64 {
-        let AllModels { nested: Nested { factor, right, .. }, cuts, .. } = *self.models;
-        let (rank, responses) = (factor.rank, factor.responses);
-        self.update_gram();
+        let rank = self.models.ground.factor.rank;
         let smallest = self.factor.factor(&self.last.gram);
         if smallest < DOUBLE_DOUBLE_MIN_EIGENVALUE {
             return 0.0;
         }
         let signs: Vec<f64> = (0..rank).map(|j| sign(0, j)).collect();
-        let forward = self.factor.forward(&signs);
-        let grown = dot(forward, forward) - 10.0 * rank as f64;
-        for c in 0..responses {
-            let projection = self.factor.projection(c).to_vec();
-            for &i in &self.work.rows[..self.work.validated] {
-                let u = self.factor.forward(factor.basis_row(i));
-                let squares = &mut self.curve.squares;
-                add_squares([right[i * responses + c]], u.as_chunks().0, &projection, cuts, squares);
-            }
-        }
-        if grown > 0.0 { smallest.min(grown.recip()) } else { smallest }
+        let square = self.factor.forward(&[&signs]).iter().map(|u| u[0] * u[0]).sum();
+        smallest.min(by_probe(square, rank))
     }
 
-    /// Turns the matrix into that of the pair at hand.
-    fn update_gram(&mut self) {
+    /// As `PairCurve::primal`, with twice the digits.
+    fn predict(&mut self, defined: usize) {
+        let AllModels { nested: Nested { factor, right, .. }, cuts, .. } = *self.models;
+        let squares = &mut self.curve.squares;
+        for rows in self.work.rows[..self.work.validated].chunks(PANEL) {
+            let entries: Vec<&[f64]> = rows.iter().map(|&i| factor.basis_row(i)).collect();
+            let u = self.factor.forward(&entries).to_vec();
+            for c in 0..factor.responses {
+                let mut b = [0.0; PANEL];
+                b.iter_mut().zip(rows).for_each(|(b, &i)| *b = right[i * factor.responses + c]);
+                add_squares(b, &u, &self.factor.projection(c), &cuts[..defined], squares);
+            }
+        }
+    }
+
+    /// From the training rows themselves.
+    fn predict_refitted(&mut self, leading: usize, defined: usize) -> Result<(), Error> {
+        let Self { models, problem, work, refit, curve, .. } = self;
+        let factor = models.ground.factor;
+        for &i in &work.rows[..work.validated] {
+            for c in 0..factor.responses {
+                let (b, u, v) = refit.forward_solve(factor, problem, i, c, leading)?;
+                add_squares([b], u.as_chunks().0, v, &models.cuts[..defined], &mut curve.squares);
+            }
+        }
+        Ok(())
+    }
+
+    /// Turns the matrix into that of the pair at hand; whether that changes it.
+    fn update_gram(&mut self) -> bool {
         let Self { models, work, last, whole, .. } = self;
         let AllModels { ground, nested, .. } = **models;
         let change = work.change_from(last);
         let (added, removed) = (ground.rows_of(&change.added), ground.rows_of(&change.removed));
+        if added.len() + removed.len() == 0 {
+            return false;
+        }
         let fetch = |i: usize| (ground.factor.basis_row(i), nested.right_row(i));
         if added.len() + removed.len() > work.rows.len() {
             last.gram.copy_from(whole);
@@ -135,22 +187,6 @@ impl Rescue<'_> {
             last.gram.change(&removed, 1.0, fetch);
         }
         last.set_members(&work.members[0]);
-    }
-
-    /// From the training rows themselves.
-    fn refitted(&mut self, pool: &Pool<'_>) -> Result<usize, Error> {
-        let Self { models, problem, work, refit, .. } = self;
-        let (factor, cuts, squares) = (models.ground.factor, models.cuts, &mut self.curve.squares);
-        let leading = refit.reduce_leading(factor, problem, pool, &work.rows)?;
-        let defined = cuts.partition_point(|&cut| cut <= leading);
-        squares[..defined].fill(0.0);
-        squares[defined..].fill(f64::NAN);
-        for &i in &work.rows[..work.validated] {
-            for c in 0..factor.responses {
-                let (b, u, v) = refit.forward_solve(factor, problem, i, c, leading)?;
-                add_squares([b], u.as_chunks().0, v, &cuts[..defined], squares);
-            }
-        }
-        Ok(defined)
+        true
     }
 }

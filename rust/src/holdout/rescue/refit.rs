@@ -111,8 +111,8 @@ impl Refit {
         rows: &[usize],
     ) -> Result<usize, Error> {
         self.reduce(factor, problem, pool, rows)?;
-        let triangle: Vec<f64> =
-            (0..factor.rank).flat_map(|j| self.column(j, factor.rank)).copied().collect();
+        let mut triangle = Vec::with_capacity(factor.rank * factor.rank);
+        (0..factor.rank).for_each(|j| triangle.extend_from_slice(self.column(j, factor.rank)));
         leading_rank(&triangle, factor.rank, factor.tolerance, pool)
     }
 
