@@ -36,7 +36,7 @@
 //! | [`fit::linalg`] | dense factorisations; the only file that names faer |
 //! | [`holdout::scheme`] | what is held out and validated: plain data |
 //! | `holdout::plan` | which pairs are visited together, and in what portions |
-//! | [`holdout::walk`] | the walk along pairs, each solved in the cheaper way |
+//! | `holdout::walk` | the walk along pairs, each solved in the cheaper way |
 //! | [`holdout::gram`] | the matrix that neighbouring held-out sets share |
 //! | `holdout::dual`, `holdout::hat` | small sets, alone or each inside the next; the whole hat matrix where it pays |
 //! | [`holdout::kernel`] | Gram matrix, factorisation and solve in one recurrence |

@@ -98,6 +98,10 @@ def select(
     return Outcome(selection, sweep, ordered, winner.model)
 
 
+ROUNDING = 1e-9
+"""One model reached in two ways, as the plane is by three control points at any weight, has about the same numbers."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Entrant(Generic[ModelT]):
     """The best model of a family, and how well it predicts held-out data.
@@ -139,13 +143,13 @@ class Entrant(Generic[ModelT]):
 
         Both by the criterion and by leave-one-out. A criterion without a scheme has scores alone.
         """
-        if self.parameters >= other.parameters:
+        if self.parameters > (1 + ROUNDING) * other.parameters:
             return self.score < other.score
         names = {request.listed[0], "CMPRESS"} & self.errors.keys() & other.errors.keys()
         if request.listed[0] not in names:
-            return self.score <= other.score
+            return self.score <= (1 + ROUNDING) * other.score
         means = (_mean_and_error(self.errors[of], other.errors[of], request) for of in names)
-        return all(mean <= 0.5 * error for mean, error in means)
+        return all(mean <= 0.5 * error + ROUNDING for mean, error in means)
 
     def surely_better_than(self, other: Entrant[ModelT], request: CriteriaRequest) -> bool:
         """Whether this model predicts better by more than the standard error of the mean difference."""

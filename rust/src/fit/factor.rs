@@ -1,6 +1,6 @@
 //! The design's orthonormal basis, and what one fit tells: rank, coefficients, residuals, leverage.
 //!
-//! The basis is that of [`crate::fit::cholesky_qr`], or of [`crate::fit::householder`] where the first would lose digits. Work is
+//! The basis is that of `fit::cholesky_qr`, or of `fit::householder` where the first would lose digits. Work is
 //! cut into blocks of rows that depend on the shape alone, never on the number of threads.
 
 use crate::error::Error;

@@ -11,4 +11,4 @@ pub mod rescue;
 pub mod residuals;
 pub mod scheme;
 mod spread;
-pub mod walk;
+mod walk;

@@ -1,8 +1,8 @@
 //! Prediction residuals of held-out pairs, equation (6): `e_(K) = (I - H_KK)^-1 e_K`, for the validated rows alone.
 //!
 //! With q held-out rows and rank p, a pair is solved in the smaller of two spaces. The *dual* factors
-//! `I - Q_K Q_K^T` (q x q), see [`crate::holdout::dual`]. The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with
-//! `M = I - Q_K^T Q_K` (p x p), which neighbouring pairs share, see [`crate::holdout::walk`]. Both are a factorisation by
+//! `I - Q_K Q_K^T` (q x q), see `holdout::dual`. The *primal* uses `e_(T) = e_T + Q_T M^-1 Q_K^T e_K` with
+//! `M = I - Q_K^T Q_K` (p x p), which neighbouring pairs share, see `holdout::walk`. Both are a factorisation by
 //! [`Bordered`](crate::holdout::kernel::Bordered). A smallest eigenvalue near zero says that the training rows barely
 //! determine the model: see [`crate::holdout::rescue`].
 

@@ -73,8 +73,8 @@ impl Scheme<'_> {
         if let Held::Sets(held) = self.held {
             check_indices(held, rows.len())?;
         }
-        expect_length(self.validated.len(), count)?;
         check_indices(self.validated, rows.len())?;
+        expect_length(self.validated.len(), count)?;
         match self.order.and_then(|order| order.iter().max()) {
             Some(&index) if index >= count => Err(Error::Index { index, bound: count }),
             _ => Ok(()),
