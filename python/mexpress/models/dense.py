@@ -78,8 +78,8 @@ def dense(
     for some in _chunks(cells, 1):
         values[:, some[:, 0], some[:, 1]] = function(some[:, ::-1].astype(np.float64)).T
     positions = np.empty((2, height, width), dtype)
-    for rows in _chunks(np.arange(height), width):  # one copy of all would not hear Ctrl-C
-        part = slice(rows[0], rows[-1] + 1)
+    for lines in _chunks(np.arange(height), width):  # one copy of all would not hear Ctrl-C
+        part = slice(lines[0], lines[-1] + 1)
         positions[:, part] = values[:, part, :width]
     return positions
 
