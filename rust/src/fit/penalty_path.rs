@@ -46,8 +46,10 @@ impl PenaltyPath {
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
         let (rows, width) = (problem.rows, problem.columns);
-        let scales = column_scales(problem, pool)?;
         let design = Problem { penalty: &[], ..*problem };
+        // Of the design alone: in other units the penalty's entries are other multiples of the design's, and with them the
+        // scales would round otherwise.
+        let scales = column_scales(&design, pool)?;
         let (basis, triangle) = if rows > TALL * width {
             let (basis, spectrum) = orthonormal(&design, &scales, pool)?;
             (Some(basis), spectrum.rows())
