@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 _Floats: TypeAlias = NDArray[np.float64]
 _Integers: TypeAlias = NDArray[np.int64]
 _Sets: TypeAlias = tuple[_Integers, _Integers]
+_Problem: TypeAlias = tuple[_Floats, _Floats, _Floats | None, _Floats]
 
 __all__ = [
     "Factor",
@@ -30,14 +31,7 @@ __all__ = [
 
 @final
 class Factor:
-    def __new__(
-        cls,
-        design: _Floats,
-        responses: _Floats,
-        root_weights: _Floats | None,
-        penalty: _Floats,
-        threads: int,
-    ) -> Factor: ...
+    def __new__(cls, arrays: _Problem, threads: int) -> Factor: ...
     @property
     def rank(self) -> int: ...
     @property
@@ -68,14 +62,7 @@ class LocalFunctions:
 
 @final
 class Nested:
-    def __new__(
-        cls,
-        design: _Floats,
-        responses: _Floats,
-        root_weights: _Floats | None,
-        penalty: _Floats,
-        threads: int,
-    ) -> Nested: ...
+    def __new__(cls, arrays: _Problem, threads: int) -> Nested: ...
     def coefficients(self, size: int) -> _Floats: ...
     def fits(self, sizes: _Integers, threads: int) -> tuple[_Floats, _Floats, _Integers]: ...
     def curves(
@@ -97,14 +84,7 @@ class LazyNeighbourhoods:
 
 @final
 class PenaltyPath:
-    def __new__(
-        cls,
-        design: _Floats,
-        responses: _Floats,
-        root_weights: _Floats | None,
-        penalty: _Floats,
-        threads: int,
-    ) -> PenaltyPath: ...
+    def __new__(cls, arrays: _Problem, threads: int) -> PenaltyPath: ...
     @property
     def determined(self) -> bool: ...
     @property

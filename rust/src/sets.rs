@@ -10,6 +10,7 @@ pub const MOST_MEMBERS: usize = 400_000_000;
 /// let sets: Sets = [vec![0, 2], vec![], vec![1]].into_iter().collect();
 /// assert_eq!(sets.len(), 3);
 /// assert_eq!(sets.get(0), &[0, 2]);
+/// assert_eq!(sets.total(&[0, 2]), 3);
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sets {
@@ -28,6 +29,11 @@ impl Sets {
     /// Whether there is no set at all.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// How many members some of the sets have in all.
+    pub fn total(&self, some: &[usize]) -> usize {
+        some.iter().map(|&s| self.get(s).len()).sum()
     }
 
     /// Members of set `s`.

@@ -152,7 +152,7 @@ class LeastSquares:
         threads: int | None = None,
     ) -> None:
         problem = Problem.of(A, b, coupling, weights, penalty)
-        self._keep(problem, _core.Factor(*problem.arrays, check.threads(threads)))
+        self._keep(problem, _core.Factor(problem.arrays, check.threads(threads)))
 
     @classmethod
     def _of(cls, problem: Problem, factor: _core.Factor) -> LeastSquares:
@@ -389,11 +389,7 @@ class LeastSquares:
 
     def _share_of_row(self, rows: Integers | slice) -> Floats:
         """Weight of each row: the weight of its datum divided by the number of rows of the datum."""
-        m = len(self.leverage)
-        if self.n_data == m:
-            parts = np.ones(m)[rows]
-        else:
-            parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
+        parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
         return parts if self._row_weights is None else parts * self._row_weights[rows]
 
 

@@ -59,7 +59,7 @@ class Nested:
         # Sums of squares must neither overflow nor vanish; scaling by a power of two is exact.
         exponent = int(np.frexp(np.abs(responses).max())[1])
         scaled = np.ldexp(responses, -exponent)
-        self._core = _core.Nested(design, scaled, roots, rows, check.threads(threads))
+        self._core = _core.Nested((design, scaled, roots, rows), check.threads(threads))
         self._unit = exponent
         self._flat = problem.responses.ndim == 1
         self._coupling = problem.coupling

@@ -68,7 +68,7 @@ class PenaltyPath:
         threads: int | None = None,
     ) -> None:
         self._problem = Problem.of(A, b, coupling, weights, Z)
-        self._path = _core.PenaltyPath(*self._problem.arrays, check.threads(threads))
+        self._path = _core.PenaltyPath(self._problem.arrays, check.threads(threads))
         self.determined, self.rank = self._path.determined, self._path.rank
 
     def fit(self, weight: float, threads: int | None = None) -> FittedAt:
@@ -76,7 +76,7 @@ class PenaltyPath:
         problem, workers = self._problem, check.threads(threads)
         if not self.determined:
             here = replace(problem, penalty=np.sqrt(weight) * problem.penalty)
-            return FittedAt.of(LeastSquares._of(here, _core.Factor(*here.arrays, workers)))
+            return FittedAt.of(LeastSquares._of(here, _core.Factor(here.arrays, workers)))
         factor, columns = self._path.fit(weight, workers)
         coefficients = columns[:, 0] if problem.responses.ndim == 1 else np.ascontiguousarray(columns)
         return FittedAt(LeastSquares._of(problem, factor), coefficients)

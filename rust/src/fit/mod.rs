@@ -5,7 +5,7 @@ mod extremes;
 pub mod factor;
 mod householder;
 pub mod linalg;
-mod panels;
+pub(crate) mod panels;
 pub mod penalty_path;
 pub(crate) mod rank;
 mod residuals;

@@ -6,7 +6,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rows of a panel.
-pub(super) const PANEL: usize = 8;
+pub(crate) const PANEL: usize = 8;
 
 /// Rows of a block: some dozens of its columns stay in the first-level cache.
 pub(super) const BLOCK: usize = 128;

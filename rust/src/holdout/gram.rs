@@ -9,7 +9,8 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::holdout::kernel::{PANEL, products};
+use crate::fit::panels::PANEL;
+use crate::holdout::kernel::products;
 
 /// Rows added at a time: their packed copy, of a few hundred columns, stays in the second-level cache. Of a power of two,
 /// panels would lie in the same places of the cache.

@@ -16,10 +16,8 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
+use crate::fit::panels::PANEL;
 use crate::holdout::gram::Gram;
-
-/// Rows of a panel.
-pub(crate) const PANEL: usize = 8;
 
 /// Panels of columns factored between two long updates: 64 columns of a few hundred terms stay in the second-level cache.
 const BLOCK_PANELS: usize = 8;

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crate::fit::factor::Factor;
 use crate::holdout::hat::HAT_ROWS;
-use crate::holdout::scheme::{Held, Scheme};
+use crate::holdout::scheme::Scheme;
 use crate::sets::Sets;
 
 /// Multiply-adds of a portion, so that none delays an interrupt.
@@ -40,13 +40,9 @@ pub(super) fn chains<'a>(schemes: &[Scheme<'a>]) -> Vec<Chain<'a>> {
     let mut chains: Vec<Chain<'a>> = Vec::new();
     for (s, scheme) in schemes.iter().enumerate() {
         let alike = |chain: &&mut Chain<'a>| {
-            let first = &schemes[chain.schemes[0]];
-            let same_order = chain.order == scheme.order || chain.order.is_none() || scheme.order.is_none();
-            let whole =
-                |order: Option<&[usize]>| order.is_none_or(|order| order.len() == scheme.validated.len());
-            first.validated == scheme.validated
-                && same_order
-                && (chain.order == scheme.order || (whole(chain.order) && whole(scheme.order)))
+            schemes[chain.schemes[0]].validated == scheme.validated
+                && chain.length == scheme.steps()
+                && (chain.order == scheme.order || chain.order.is_none() || scheme.order.is_none())
         };
         match chains.iter_mut().find(alike) {
             Some(chain) => {
@@ -120,19 +116,17 @@ pub(super) fn lead(sizes: &[f64], shared: bool, rank: usize, hat: bool) -> (usiz
 
 /// Whether it pays to compute the whole hat matrix.
 pub(super) fn hat_pays(chains: &[Chain<'_>], schemes: &[Scheme<'_>], factor: &Factor, rows: &Sets) -> bool {
-    if factor.rows > HAT_ROWS || schemes.iter().any(|scheme| matches!(scheme.held, Held::Lazy(_))) {
+    if factor.rows > HAT_ROWS {
         return false;
     }
+    let Some(held) = schemes.iter().map(|scheme| scheme.held.listed()).collect::<Option<Vec<_>>>() else {
+        return false;
+    };
     let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
     let (mut with, mut without) = (whole, 0.0);
     for chain in chains {
         for step in 0..chain.length {
-            let size = |&s: &usize| match schemes[s].held {
-                Held::Sets(held) => {
-                    held.get(chain.pair(step)).iter().map(|&d| rows.get(d).len()).sum::<usize>() as f64
-                }
-                Held::Lazy(_) => 0.0,
-            };
+            let size = |&s: &usize| rows.total(held[s].get(chain.pair(step))) as f64;
             let sizes: Vec<f64> = chain.schemes.iter().map(size).collect();
             with += lead(&sizes, chain.order.is_some(), factor.rank, true).1;
             without += lead(&sizes, chain.order.is_some(), factor.rank, false).1;

@@ -95,7 +95,7 @@ impl Places {
         let mut end = 0;
         for scheme in schemes {
             for pair in 0..scheme.validated.len() {
-                end += scheme.validated.get(pair).iter().map(|&datum| rows.get(datum).len()).sum::<usize>();
+                end += rows.total(scheme.validated.get(pair));
                 offsets.push(end);
             }
             firsts.push(offsets.len() - 1);
@@ -158,26 +158,19 @@ impl Residuals {
     }
 }
 
-impl LastModel<'_> {
-    /// Rows of data.
-    fn size(&self, data: &[usize]) -> usize {
-        data.iter().map(|&datum| self.0.rows.get(datum).len()).sum()
-    }
-}
-
 impl Question for LastModel<'_> {
     type Answer = Residuals;
 
     fn together(&self, work: &mut Workspace, at: Visit<'_>, answer: &mut Residuals) -> usize {
-        let (factor, hat, pairs) = (self.0.factor, self.0.hat.as_ref(), at.chain.schemes.len());
-        let validated = self.0.validated(at);
-        let block = self.size(validated) * factor.responses;
+        let Ground { factor, rows, ref hat, .. } = *self.0;
+        let (pairs, validated) = (at.chain.schemes.len(), self.0.validated(at));
+        let block = rows.total(validated) * factor.responses;
         answer.values.resize(answer.values.len() + pairs * block, f64::NAN);
         answer.status.resize(answer.status.len() + pairs, None);
         if pairs == 1 || block > MOST_CARRIED * factor.responses {
             return 0;
         }
-        let sizes: Vec<f64> = work.members[..pairs].iter().map(|data| self.size(data) as f64).collect();
+        let sizes: Vec<f64> = work.members[..pairs].iter().map(|data| rows.total(data) as f64).collect();
         let count = lead(&sizes, at.chain.order.is_some(), factor.rank, hat.is_some()).0;
         if count < 2 || !work.list(self.0, validated, 0..count) {
             return 0;
@@ -185,7 +178,8 @@ impl Question for LastModel<'_> {
         let ends = std::mem::take(&mut work.ends);
         let possible = ends.partition_point(|&q| factor.rank + q <= factor.total_rows);
         let start = answer.values.len() - pairs * block;
-        let solved = possible == 0 || work.dual(factor, hat, &ends[..possible], &mut answer.values[start..]);
+        let solved =
+            possible == 0 || work.dual(factor, hat.as_ref(), &ends[..possible], &mut answer.values[start..]);
         work.ends = ends;
         if !solved {
             return 0;
@@ -227,7 +221,7 @@ impl Question for LastModel<'_> {
         let factor = self.0.factor;
         let responses = factor.responses;
         let validated = work.validated;
-        let known = work.factored.filter(|&(k, _)| k == at.k).map(|(_, least)| least);
+        let known = work.known_least(at.k);
         let riding = if known.is_none() && validated <= MOST_CARRIED { validated } else { 0 };
         let least = known.unwrap_or_else(|| work.factor_primal(factor, at.k, riding));
         if least < factor.closed_form_least() {
@@ -236,15 +230,18 @@ impl Question for LastModel<'_> {
         let place = (at.k, at.chain.schemes.len());
         let out = answer.slot(factor, work, place).0;
         for c in 0..responses {
+            let rows = work.rows[..validated].iter().enumerate();
             // The border came out as y = -L^-1 Q_K^T e_K, and rows that rode along as u = L^-1 q.
-            let z = if riding < validated { work.system.back_solve(c, 0) } else { &[] };
-            for (k, &row) in work.rows[..validated].iter().enumerate() {
-                out[k * responses + c] = dot(factor.basis_row(row), z);
-            }
-            let forward = (0..riding).map(|k| work.system.forward_products(c, responses + PROBES + k).sum());
-            out.iter_mut().skip(c).step_by(responses).zip(forward).for_each(|(e, change)| *e = change);
-            for (k, &row) in work.rows[..validated].iter().enumerate() {
-                out[k * responses + c] = factor.residual_row(row)[c] - out[k * responses + c];
+            if riding == validated {
+                for (k, &row) in rows {
+                    let change: f64 = work.system.forward_products(c, responses + PROBES + k).sum();
+                    out[k * responses + c] = factor.residual_row(row)[c] - change;
+                }
+            } else {
+                let z = work.system.back_solve(c, 0);
+                for (k, &row) in rows {
+                    out[k * responses + c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
+                }
             }
         }
         answer.accept(factor, work, place, least);

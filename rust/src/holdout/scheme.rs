@@ -26,7 +26,15 @@ pub enum Held<'a> {
     Lazy(&'a LazyNeighbourhoods),
 }
 
-impl Held<'_> {
+impl<'a> Held<'a> {
+    /// The sets, if they are listed.
+    pub(super) fn listed(self) -> Option<&'a Sets> {
+        match self {
+            Self::Sets(sets) => Some(sets),
+            Self::Lazy(_) => None,
+        }
+    }
+
     fn len(self) -> usize {
         match self {
             Self::Sets(sets) => sets.len(),

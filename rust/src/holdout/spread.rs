@@ -26,9 +26,8 @@ impl Factor {
         check_indices(rows, self.rows)?;
         scheme.check(rows)?;
         let ground = Ground { factor: self, schemes: std::slice::from_ref(scheme), rows, hat: None };
-        let rows_of = |pair| scheme.validated.get(pair).iter().map(|&datum| rows.get(datum).len());
-        let sizes: Vec<usize> =
-            (0..scheme.validated.len()).map(|pair| rows_of(pair).sum::<usize>().pow(2)).collect();
+        let size = |pair| rows.total(scheme.validated.get(pair)).pow(2);
+        let sizes: Vec<usize> = (0..scheme.validated.len()).map(size).collect();
         let mut blocks = vec![0.0; sizes.iter().sum()];
         let failure = OnceLock::new();
         pool.run(

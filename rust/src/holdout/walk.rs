@@ -50,7 +50,9 @@ pub(super) trait Question: Sync {
     type Answer: Send;
 
     /// Solves the first pairs of a step together, in the dual, and tells how many.
-    fn together(&self, work: &mut Workspace, at: Visit<'_>, answer: &mut Self::Answer) -> usize;
+    fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &mut Self::Answer) -> usize {
+        0
+    }
 
     /// Solves a pair in the dual, if that costs less than this many multiply-adds and is accurate.
     fn dual(&self, work: &mut Workspace, at: Visit<'_>, primal: f64, answer: &mut Self::Answer) -> bool;
@@ -259,7 +261,7 @@ impl Workspace {
         let last = &mut rest[0];
         let change = if inner { ring } else { slide };
         if change.len() > members[k].len() {
-            last.gram.start(ground.factor.rank, ground.factor.responses);
+            last.gram.start(factor.rank, factor.responses);
             change.removed.clear();
             change.added.clone_from(&members[k]);
         } else if inner {
@@ -284,6 +286,11 @@ impl Workspace {
     pub(super) fn change_from<G>(&mut self, last: &LastPair<G>) -> &mut SetChange {
         self.slide.find(last, &self.members[0], &self.stamps, self.now);
         &mut self.slide
+    }
+
+    /// The estimate of the k-th matrix' smallest eigenvalue, if the system holds its factor.
+    pub(super) fn known_least(&self, k: usize) -> Option<f64> {
+        self.factored.filter(|&(which, _)| which == k).map(|(_, least)| least)
     }
 
     /// Factors the k-th matrix with probes and the first `carried` rows in its border; an estimate of its smallest eigenvalue.

@@ -21,20 +21,7 @@ pub(super) struct Factor {
 #[pymethods]
 impl Factor {
     #[new]
-    fn new<'py>(
-        py: Python<'py>,
-        design: Array2<'py, f64>,
-        responses: Array2<'py, f64>,
-        root_weights: Option<Array1<'py, f64>>,
-        penalty: Array2<'py, f64>,
-        threads: usize,
-    ) -> PyResult<Self> {
-        let arrays = KeptArrays {
-            design: design.unbind(),
-            responses: responses.unbind(),
-            root_weights: root_weights.map(Bound::unbind),
-            penalty: penalty.unbind(),
-        };
+    fn new(py: Python<'_>, arrays: KeptArrays, threads: usize) -> PyResult<Self> {
         let borrowed = arrays.borrow(py)?;
         let problem = borrowed.problem()?;
         let size = problem.design.len() + problem.penalty.len();

@@ -22,20 +22,7 @@ pub(super) struct Nested {
 #[pymethods]
 impl Nested {
     #[new]
-    fn new<'py>(
-        py: Python<'py>,
-        design: Array2<'py, f64>,
-        responses: Array2<'py, f64>,
-        root_weights: Option<Array1<'py, f64>>,
-        penalty: Array2<'py, f64>,
-        threads: usize,
-    ) -> PyResult<Self> {
-        let arrays = KeptArrays {
-            design: design.unbind(),
-            responses: responses.unbind(),
-            root_weights: root_weights.map(Bound::unbind),
-            penalty: penalty.unbind(),
-        };
+    fn new(py: Python<'_>, arrays: KeptArrays, threads: usize) -> PyResult<Self> {
         let borrowed = arrays.borrow(py)?;
         let problem = borrowed.problem()?;
         let models = interruptible(py, f64::INFINITY, threads, |pool| nested::Nested::new(&problem, pool))?;

@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, matrix, table};
+use super::arrays::{Array2, matrix, table};
 use super::factor::Factor;
 use super::interrupt::interruptible;
 use super::problem::KeptArrays;
@@ -19,20 +19,7 @@ pub(super) struct PenaltyPath {
 #[pymethods]
 impl PenaltyPath {
     #[new]
-    fn new<'py>(
-        py: Python<'py>,
-        design: Array2<'py, f64>,
-        responses: Array2<'py, f64>,
-        root_weights: Option<Array1<'py, f64>>,
-        penalty: Array2<'py, f64>,
-        threads: usize,
-    ) -> PyResult<Self> {
-        let arrays = KeptArrays {
-            design: design.unbind(),
-            responses: responses.unbind(),
-            root_weights: root_weights.map(Bound::unbind),
-            penalty: penalty.unbind(),
-        };
+    fn new(py: Python<'_>, arrays: KeptArrays, threads: usize) -> PyResult<Self> {
         let borrowed = arrays.borrow(py)?;
         let problem = borrowed.problem()?;
         let (p, size) = (problem.columns, problem.design.len() + problem.penalty.len());

@@ -3,21 +3,31 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, matrix, slice};
+use super::arrays::{matrix, slice};
 use crate::fit::factor::Problem;
 
-/// The caller's arrays of a problem, kept, not copied: pairs close to rank loss go back to them.
+/// The caller's arrays of a problem, a tuple, kept, not copied: pairs close to rank loss go back to them.
+#[derive(FromPyObject)]
 pub(super) struct KeptArrays {
+    #[pyo3(item(0))]
     pub(super) design: Py<PyArray2<f64>>,
+    #[pyo3(item(1))]
     pub(super) responses: Py<PyArray2<f64>>,
+    #[pyo3(item(2))]
     pub(super) root_weights: Option<Py<PyArray1<f64>>>,
+    #[pyo3(item(3))]
     pub(super) penalty: Py<PyArray2<f64>>,
 }
 
 impl KeptArrays {
     pub(super) fn borrow<'py>(&self, py: Python<'py>) -> PyResult<ProblemArrays<'py>> {
-        let weights = self.root_weights.as_ref().map(|w| w.bind(py));
-        ProblemArrays::new(self.design.bind(py), self.responses.bind(py), weights, self.penalty.bind(py))
+        let weights = self.root_weights.as_ref().map(|w| w.bind(py).try_readonly()).transpose()?;
+        Ok(ProblemArrays {
+            design: self.design.bind(py).try_readonly()?,
+            responses: self.responses.bind(py).try_readonly()?,
+            root_weights: weights,
+            penalty: self.penalty.bind(py).try_readonly()?,
+        })
     }
 }
 
@@ -29,21 +39,7 @@ pub(super) struct ProblemArrays<'py> {
     penalty: PyReadonlyArray2<'py, f64>,
 }
 
-impl<'py> ProblemArrays<'py> {
-    pub(super) fn new(
-        design: &Array2<'py, f64>,
-        responses: &Array2<'py, f64>,
-        root_weights: Option<&Array1<'py, f64>>,
-        penalty: &Array2<'py, f64>,
-    ) -> PyResult<Self> {
-        Ok(Self {
-            design: design.try_readonly()?,
-            responses: responses.try_readonly()?,
-            root_weights: root_weights.map(|w| w.try_readonly()).transpose()?,
-            penalty: penalty.try_readonly()?,
-        })
-    }
-
+impl ProblemArrays<'_> {
     pub(super) fn problem(&self) -> PyResult<Problem<'_>> {
         Ok(Problem {
             design: matrix(&self.design)?,

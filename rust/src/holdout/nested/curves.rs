@@ -3,6 +3,7 @@
 use super::dual::Dual;
 use super::{Nested, add_squares};
 use crate::fit::linalg::{self, dot};
+use crate::fit::panels::PANEL;
 use crate::fit::rank::leading_rank;
 use crate::holdout::kernel::Bordered;
 use crate::holdout::probes::{PROBES, sign};
@@ -88,10 +89,6 @@ impl Scores {
 impl Question for AllModels<'_> {
     type Answer = Scores;
 
-    fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &mut Scores) -> usize {
-        0
-    }
-
     fn dual(&self, work: &mut Workspace, at: Visit<'_>, primal: f64, answer: &mut Scores) -> bool {
         let factor = self.ground.factor;
         let (q, p) = (work.rows.len() as f64, factor.rank as f64);
@@ -117,8 +114,7 @@ impl Question for AllModels<'_> {
     }
 
     fn primal(&self, work: &mut Workspace, at: Visit<'_>, pool: &Pool<'_>, answer: &mut Scores) {
-        let known = work.factored.filter(|&(k, _)| k == at.k).map(|(_, least)| least);
-        let least = known.unwrap_or_else(|| work.factor_primal(self.ground.factor, at.k, 0));
+        let least = work.known_least(at.k).unwrap_or_else(|| work.factor_primal(self.ground.factor, at.k, 0));
         let validated = &work.rows[..work.validated];
         let outcome = answer.curve.primal(self, &mut work.system, least, validated, pool);
         answer.note(at, &outcome);
@@ -158,8 +154,8 @@ impl PairCurve {
             for c in 0..responses {
                 system.forward_row(c, forward);
                 system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
-                for (panel, rows) in system.carried().chunks_exact(rank.max(1)).zip(rows.chunks(8)) {
-                    let mut b = [0.0; 8];
+                for (panel, rows) in system.carried().chunks_exact(rank.max(1)).zip(rows.chunks(PANEL)) {
+                    let mut b = [0.0; PANEL];
                     b.iter_mut().zip(rows).for_each(|(b, &i)| *b = models.nested.right_row(i)[c]);
                     add_squares(b, panel, forward, models.cuts, squares);
                 }

@@ -6,7 +6,7 @@ use super::curves::{AllModels, Outcome, PairCurve, Visited};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
-use crate::holdout::kernel::PANEL;
+use crate::fit::panels::PANEL;
 use crate::holdout::probes::{by_probe, sign};
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;

@@ -7,7 +7,7 @@
 
 use pulp::Simd;
 
-use crate::holdout::kernel::PANEL;
+use crate::fit::panels::PANEL;
 
 /// A number with twice the digits.
 #[derive(Clone, Copy, Default)]

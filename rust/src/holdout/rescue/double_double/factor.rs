@@ -5,7 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arithmetic::{Dd, Parts, Wide, products};
 use super::gram::DdGram;
-use crate::holdout::kernel::PANEL;
+use crate::fit::panels::PANEL;
 
 /// Forward solves are anchored at this times a row's entries: four times the inverse root of the least eigenvalue at which
 /// twice the digits are of use.

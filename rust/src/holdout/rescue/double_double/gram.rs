@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arithmetic::{Parts, Wide, products};
 use crate::error::Error;
-use crate::holdout::kernel::PANEL;
+use crate::fit::panels::PANEL;
 use crate::pool::Pool;
 
 /// Rows added at a time: of two panels their packed copies stay in the first-level cache.
