@@ -34,7 +34,7 @@ fn fit(problem: &Problem<'_>, threads: usize) -> Factor {
 }
 
 /// Each datum with those that follow it, around the end.
-fn windows(n: usize, size: usize) -> Sets {
+fn windows(n: usize, size: usize) -> Sets<'static> {
     let window = |i| {
         let mut set: Vec<usize> = (0..size).map(|k| (i + k) % n).collect();
         set.sort_unstable();
@@ -43,7 +43,7 @@ fn windows(n: usize, size: usize) -> Sets {
     (0..n).map(window).collect()
 }
 
-fn singles(n: usize) -> Sets {
+fn singles(n: usize) -> Sets<'static> {
     (0..n).map(|i| vec![i]).collect()
 }
 

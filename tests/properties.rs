@@ -158,7 +158,7 @@ fn cases() -> impl Strategy<Value = Case> {
     })
 }
 
-fn singles(n: usize) -> Sets {
+fn singles(n: usize) -> Sets<'static> {
     (0..n).map(|i| vec![i]).collect()
 }
 

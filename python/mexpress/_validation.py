@@ -140,20 +140,35 @@ def _place(index: tuple[int, ...]) -> str:
 def real(value: ArrayLike, name: str) -> Floats:
     """Float64 array of real numbers, aligned and in C order."""
     numbers = array(value, name, "It must be an array of real numbers.", "biuf")
-    with np.errstate(over="ignore"):
-        return np.require(numbers, np.float64, ["C", "A"])
+    if numbers.dtype != np.float64:
+        with np.errstate(over="ignore"):
+            numbers = numbers.astype(np.float64)
+    return _in_order(numbers)
+
+
+def _in_order(array: NDArray[Any]) -> NDArray[Any]:
+    """The array, aligned and in C order; np.require takes longer to find that it is."""
+    flags = array.flags
+    return array if flags.c_contiguous and flags.aligned else np.require(array, None, ["C", "A"])
 
 
 def finite(array: Floats, name: str, rule: str = "Its entries must be finite.") -> Floats:
     """The array itself, if all entries are finite; the message names the first other entry."""
-    rows = array.reshape(len(array), -1) if array.size else array.reshape(0, 1)
-    place = _core.find_not_finite(rows)
-    if place is not None:
-        others = int((~np.isfinite(rows)).any(axis=1).sum()) - 1
-        more = f", and others in {others} more rows" if others else ""
-        where = _place(place[: array.ndim])
-        refuse(name, rule, f"{rows[place]} at {where}{more}")
+    _largest(array, name, rule)
     return array
+
+
+def _largest(array: Floats, name: str, rule: str = "Its entries must be finite.") -> float:
+    """The largest absolute value of an array whose entries must be finite."""
+    largest = _core.largest(array.reshape(-1))
+    if math.isfinite(largest):
+        return largest
+    rows = array.reshape(len(array), -1)
+    wrong = ~np.isfinite(rows)
+    place = divmod(int(wrong.argmax()), rows.shape[1])
+    others = int(wrong.any(axis=1).sum()) - 1
+    more = f", and others in {others} more rows" if others else ""
+    refuse(name, rule, f"{rows[place]} at {_place(place[: array.ndim])}{more}")
 
 
 def matrix(value: ArrayLike, name: str) -> Floats:
@@ -246,7 +261,7 @@ def _as_points(shape: tuple[int, ...], dimension: int | None) -> str:
 
 def _bounded(array: Floats, name: str, what: str, limit: float) -> Floats:
     """The array itself, if it is finite and does not exceed a limit."""
-    largest = max(float(finite(array, name).max()), -float(array.min()))
+    largest = _largest(array, name)
     if largest > limit:
         refuse(name, f"{what} must not exceed {limit:g}.", f"{largest:g}")
     return array
@@ -261,7 +276,7 @@ def integers(value: ArrayLike, name: str, rule: str) -> Integers:
         refuse(name, rule, describe(value))
     if numbers.dtype.kind == "u" and int(numbers.max()) > LARGEST_INDEX:
         refuse(name, f"Its entries must not exceed {LARGEST_INDEX}.", f"{numbers.max()}")
-    return np.require(numbers, np.int64, ["C", "A"])
+    return _in_order(numbers.astype(np.int64, copy=False))
 
 
 def indices(value: ArrayLike, name: str, bound: int | None = None) -> Integers:
@@ -288,18 +303,26 @@ def sets(
 ) -> tuple[Integers, Integers]:
     """Sets of indices from 0 to bound - 1 in compressed rows, increasing in each."""
     cuts = integers(offsets, name, "Its offsets must be whole numbers.")
-    entries = _from_zero(integers(members, name, "Its indices must be whole numbers."), name, bound)
+    entries = integers(members, name, "Its indices must be whole numbers.")
+    if not _core.are_sets(
+        cuts.view(np.uintp), entries.view(np.uintp), LARGEST_INDEX + 1 if bound is None else bound
+    ):
+        _refuse_sets(cuts, entries, name, bound)
+    return cuts, entries
+
+
+def _refuse_sets(cuts: Integers, entries: Integers, name: str, bound: int | None) -> NoReturn:
+    """Say what is wrong with sets."""
+    _from_zero(entries, name, bound)
     if not cuts.size or cuts[0] != 0 or cuts[-1] != len(entries) or (cuts[1:] < cuts[:-1]).any():
         rule = f"Its offsets must rise from 0 to the number of indices, {len(entries)}."
         refuse(name, rule, describe(cuts))
     rises = entries[1:] > entries[:-1]
     inner = slice(*np.searchsorted(cuts, [1, len(entries)]))
     rises[cuts[inner] - 1] = True
-    if not rises.all():
-        i = int(rises.argmin())
-        where = f"{entries[i + 1]} after {entries[i]} in set {np.searchsorted(cuts, i, side='right') - 1}"
-        refuse(name, "The indices of a set must increase, so that none comes twice.", where)
-    return cuts, entries
+    i = int(rises.argmin())
+    where = f"{entries[i + 1]} after {entries[i]} in set {np.searchsorted(cuts, i, side='right') - 1}"
+    refuse(name, "The indices of a set must increase, so that none comes twice.", where)
 
 
 def items(value: Any, name: str, rule: str) -> list[Any]:

@@ -569,8 +569,8 @@ def _sizes(residuals: Floats, datum: Integers, n: int) -> Floats:
 
 
 def _press(model: LeastSquares, threads: int | None) -> Score:
-    value, rows = leave_row_out(model, threads)
-    return Score(value, np.unique(datum_of_row(model)[rows]))
+    found = leave_row_out(model, threads)
+    return Score(found.score, np.unique(datum_of_row(model)[found.undefined]))
 
 
 def _made(

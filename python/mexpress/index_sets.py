@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Integers
+
+CoreSets: TypeAlias = tuple[NDArray[np.uintp], NDArray[np.uintp]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,9 +45,9 @@ class IndexSets(Sequence[Integers]):
         return np.diff(self.offsets)
 
     @property
-    def arrays(self) -> tuple[Integers, Integers]:
+    def arrays(self) -> CoreSets:
         """Arguments for the core: (offsets, indices)."""
-        return self.offsets, self.indices
+        return self.offsets.view(np.uintp), self.indices.view(np.uintp)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1

@@ -26,7 +26,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.index_sets import IndexSets, checked, compress, contained, singletons
+from mexpress.index_sets import CoreSets, IndexSets, checked, compress, contained, singletons
 
 __all__ = [
     "IndexSets",
@@ -106,6 +106,11 @@ class Scheme:
                 check.refuse("order", f"It must have all {len(held)} pairs.", f"{len(order)} of them")
         for name, value in (("n_data", n), ("held_out", held), ("validated", validated), ("order", order)):
             object.__setattr__(self, name, value)
+
+    @property
+    def sets(self) -> tuple[CoreSets, CoreSets]:
+        """Arguments for the core: what is held out, and what is validated."""
+        return self.held_out.arrays, self.validated.arrays
 
     @property
     def visiting_order(self) -> Integers:

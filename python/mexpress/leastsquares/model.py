@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
 from mexpress.index_sets import IndexSets, checked, compress, singletons
 from mexpress.leastsquares.problem import Problem
-from mexpress.schemes import Scheme
+from mexpress.schemes import Scheme, leave_one_out
 
 if TYPE_CHECKING:
     from mexpress.leastsquares.nested import Nested
@@ -132,14 +133,11 @@ class LeastSquares:
     4.05
     """
 
-    coefficients: Floats
-    residuals: Floats
-    leverage: Floats
     rank: int
     n_data: int
     _factor: _core.Factor = field(repr=False)
     _coupling: IndexSets = field(repr=False)
-    _row_weights: Floats | None = field(repr=False)
+    _flat: bool = field(repr=False)
 
     def __init__(
         self,
@@ -179,24 +177,34 @@ class LeastSquares:
         return cls(Q, b, coupling, weights, penalty, threads=threads)
 
     def _keep(self, problem: Problem, factor: _core.Factor) -> None:
-        flat = problem.responses.ndim == 1
-        residuals, coefficients = factor.residuals, np.ascontiguousarray(factor.coefficients)
-        self._set(
-            coefficients=coefficients[:, 0] if flat else coefficients,
-            residuals=residuals[:, 0] if flat else residuals,
-            leverage=factor.leverage,
-            rank=factor.rank,
-            n_data=len(problem.coupling),
-            _factor=factor,
-            _coupling=problem.coupling,
-            _row_weights=problem.row_weights,
-        )
-
-    def _set(self, **fields: Any) -> None:
+        fields = {
+            "rank": factor.rank,
+            "n_data": len(problem.coupling),
+            "_factor": factor,
+            "_coupling": problem.coupling,
+            "_flat": problem.responses.ndim == 1,
+        }
         for name, value in fields.items():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    @cached_property
+    def coefficients(self) -> Floats:
+        """The solution x, (p,) or (p, r)."""
+        return self._kept(np.ascontiguousarray(self._factor.coefficients))
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Return b - A x, (m,) or (m, r)."""
+        return self._kept(self._factor.residuals)
+
+    @cached_property
+    def leverage(self) -> Floats:
+        """The diagonal of the hat matrix, (m,)."""
+        return _read_only(self._factor.leverage)
+
+    def _kept(self, columns: Floats) -> Floats:
+        """One column for each response, or the only one, read-only."""
+        return _read_only(columns[:, 0] if self._flat else columns)
 
     def __repr__(self) -> str:
         m, p = len(self.residuals), len(self.coefficients)
@@ -217,7 +225,7 @@ class LeastSquares:
         >>> round(mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0]).fit_rms, 6)
         2.160247
         """
-        return _root_mean(self.residuals, self._row_weights, float(self._share_of_row(slice(None)).sum()))
+        return self._factor.fit_rms(self._coupling.arrays)
 
     @property
     def press(self) -> float:
@@ -232,9 +240,9 @@ class LeastSquares:
         >>> round(mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0]).press, 6)
         3.24037
         """
-        value, lost = leave_row_out(self, None)
-        _warn(lost, len(self.leverage), "rows", "the first is row")
-        return value
+        found = leave_row_out(self, None)
+        _warn(found.undefined, len(found.rows), "rows", "the first is row")
+        return found.score
 
     def held_out_residuals(self, rows: ArrayLike) -> Floats:
         """Residuals of rows predicted from all other rows: ``e_(K) = (I - H_KK)^-1 e_K``, equation (6).
@@ -258,7 +266,7 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = compress([order])
-        prediction = self._predict([(sets, sets, None)], singletons(m), None)
+        prediction = next(self._predict([Scheme(m, sets, sets)], singletons(m), None))
         if len(prediction.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return prediction.residuals[np.argsort(np.argsort(order))]
@@ -320,7 +328,7 @@ class LeastSquares:
         _expect_scheme(self, scheme)
         validated, rows = scheme.validated, self._coupling
         workers = check.threads(threads)
-        flat = self._factor.spread(scheme.held_out.arrays, validated.arrays, rows.arrays, workers)
+        flat = self._factor.spread(*scheme.sets, rows.arrays, workers)
         ends = np.concatenate([[0], np.cumsum(rows.sizes[validated.indices])])[validated.offsets]
         return _square_blocks(flat, np.diff(ends))
 
@@ -350,47 +358,23 @@ class LeastSquares:
         True
         """
         _expect_scheme(self, scheme)
-        result = cross_validate_all(self, {"": scheme}, threads)[""]
+        result = next(self._predict([scheme], self._coupling, threads))
         where = "the attribute 'undefined' of the result lists them, the first is"
         _warn(result.undefined, len(scheme), "pairs", where)
         return result
 
-    def _part(self, whole: CrossValidation, first: int, last: int) -> CrossValidation:
-        """The cross-validation of the pairs first..last - 1, with its score."""
-        a, b = np.searchsorted(whole.pairs, [first, last])
-        lost = whole.undefined[(whole.undefined >= first) & (whole.undefined < last)] - first
-        residuals, rows = whole.residuals[a:b], whole.rows[a:b]
-        weights = None if self._row_weights is None else self._row_weights[rows]
-        score = np.nan if len(lost) else _root_mean(residuals, weights, float(self._share_of_row(rows).sum()))
-        return CrossValidation(score, residuals, rows, whole.pairs[a:b] - first, lost)
-
     def _predict(
-        self,
-        schemes: Iterable[tuple[IndexSets, IndexSets, Integers | None]],
-        coupling: IndexSets,
-        threads: int | None,
-    ) -> CrossValidation:
-        """Residuals of all pairs without a score.
-
-        A scheme is what is held out, what is validated, and an order in which successive pairs are near each other.
-        """
+        self, schemes: Iterable[Scheme], coupling: IndexSets, threads: int | None
+    ) -> Iterator[CrossValidation]:
+        """Cross-validate by schemes over data that have these rows, in one call, so that the core shares work."""
+        orders = ((s.sets, None if s.order is None else s.order.view(np.uintp)) for s in schemes)
         workers = check.threads(threads)
         try:
-            residuals, rows, offsets, lost = self._factor.predict(
-                [(held.arrays, validated.arrays, order) for held, validated, order in schemes],
-                coupling.arrays,
-                workers,
-            )
+            found = self._factor.predict(list(orders), coupling.arrays, workers)
         except RuntimeError as error:
             check.refuse("A", "It must not change while the model is in use.", str(error))
-        pairs = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-        flat = residuals[:, 0] if self.residuals.ndim == 1 else residuals
-        return CrossValidation(np.nan, flat, rows, pairs, lost)
-
-    def _share_of_row(self, rows: Integers | slice) -> Floats:
-        """Weight of each row: the weight of its datum divided by the number of rows of the datum."""
-        parts = np.reciprocal(self._coupling.sizes[datum_of_row(self)[rows]], dtype=np.float64)
-        return parts if self._row_weights is None else parts * self._row_weights[rows]
+        for score, residuals, *places in found:
+            yield CrossValidation(score, residuals[:, 0] if self._flat else residuals, *places)
 
 
 def datum_of_row(model: LeastSquares | Nested) -> Integers:
@@ -401,31 +385,20 @@ def datum_of_row(model: LeastSquares | Nested) -> Integers:
     return data
 
 
-def leave_row_out(model: LeastSquares, threads: int | None) -> tuple[float, Integers]:
-    """PRESS, and the rows without which the model is not determined."""
-    m, weights = len(model.leverage), model._row_weights
-    alone = singletons(m)
-    prediction = model._predict([(alone, alone, None)], alone, threads)
-    total = float(m) if weights is None else float(weights.sum())
-    return _root_mean(prediction.residuals, weights, total), prediction.undefined
+def leave_row_out(model: LeastSquares, threads: int | None) -> CrossValidation:
+    """Hold out every row on its own: the score is PRESS."""
+    m = len(model.leverage)
+    return next(model._predict([leave_one_out(m)], singletons(m), threads))
 
 
 def cross_validate_all(
     model: LeastSquares, schemes: Mapping[str, Scheme], threads: int | None
 ) -> dict[str, CrossValidation]:
     """Cross-validate all schemes in one call, so that the core shares work between them."""
-    if not schemes:
-        return {}
     for scheme in schemes.values():
         _expect_scheme(model, scheme)
-    given = [(scheme.held_out, scheme.validated, scheme.order) for scheme in schemes.values()]
-    together = model._predict(given, model._coupling, threads)
-    ends = np.cumsum([len(scheme) for scheme in schemes.values()])
-    starts = ends - [len(scheme) for scheme in schemes.values()]
-    return {
-        name: model._part(together, first, last)
-        for name, first, last in zip(schemes, starts, ends, strict=True)
-    }
+    found = model._predict(schemes.values(), model._coupling, threads)
+    return dict(zip(schemes, found, strict=True))
 
 
 def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
@@ -444,17 +417,9 @@ def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
     return [part.reshape(size, size) for part, size in zip(parts, sizes, strict=True)]
 
 
-def _root_mean(residuals: Floats, weights: Floats | None, total: float) -> float:
-    """sqrt(sum w ||e||^2 / total), free of overflow."""
-    if residuals.size == 0:
-        return float("nan")
-    errors = residuals.reshape(len(residuals), -1)
-    if weights is not None:
-        errors = np.sqrt(weights)[:, None] * errors
-    largest = float(np.abs(errors).max())
-    if largest == 0.0 or not np.isfinite(largest):
-        return largest
-    return largest * float(np.sqrt(((errors / largest) ** 2).sum() / total))
+def _read_only(array: Floats) -> Floats:
+    array.flags.writeable = False
+    return array
 
 
 def _warn(lost: Integers, total: int, what: str, where: str) -> None:

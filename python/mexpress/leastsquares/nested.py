@@ -75,7 +75,7 @@ class Nested:
 
     def fits(self, sizes: Integers, threads: int | None = None) -> FitSummaries:
         """Fit the models of these numbers of columns."""
-        squares, parameters, rank = self._core.fits(sizes, check.threads(threads))
+        squares, parameters, rank = self._core.fits(sizes.view(np.uintp), check.threads(threads))
         total = self._total(np.arange(self.n_data), self._coupling)
         return FitSummaries(self._rms(squares, total), parameters, rank)
 
@@ -107,8 +107,8 @@ class Nested:
     def _listed(
         self, schemes: Mapping[str, Scheme], rows: IndexSets, sizes: Integers, threads: int | None
     ) -> dict[str, NestedCurve]:
-        pairs = [((s.held_out.arrays, s.validated.arrays), s.visiting_order) for s in schemes.values()]
-        sums = self._core.curves(pairs, rows.arrays, sizes, check.threads(threads))
+        pairs = [(s.sets, s.visiting_order.view(np.uintp)) for s in schemes.values()]
+        sums = self._core.curves(pairs, rows.arrays, sizes.view(np.uintp), check.threads(threads))
         curves = {}
         for (name, scheme), (squares, visited) in zip(schemes.items(), sums, strict=True):
             defined = np.empty_like(visited)
@@ -127,11 +127,13 @@ class Nested:
         squares = {name: np.zeros(len(sizes)) for name in schemes}
         defined = {name: np.empty(self.n_data, dtype=np.int64) for name in schemes}
         for first in range(0, self.n_data, _BLOCK):
-            blocks = [(s.search, s.order[first : first + _BLOCK]) for s in schemes.values()]
-            sums = self._core.curves(blocks, self._coupling.arrays, sizes, check.threads(threads))
+            blocks = [(s.search, s.order[first : first + _BLOCK].view(np.uintp)) for s in schemes.values()]
+            sums = self._core.curves(
+                blocks, self._coupling.arrays, sizes.view(np.uintp), check.threads(threads)
+            )
             for name, (_, order), (part, visited) in zip(schemes, blocks, sums, strict=True):
                 squares[name] += part
-                defined[name][order] = visited
+                defined[name][order.view(np.int64)] = visited
             if on_step is not None:
                 on_step()
         total = self._total(np.arange(self.n_data), self._coupling)

@@ -125,9 +125,13 @@ class PiecewiseAffine(LocalLifting):
     @cached_property
     def _functions(self) -> _core.LocalFunctions:
         mesh = self._mesh
-        triangles, sides = (np.ascontiguousarray(numbers) for numbers in mesh.hull)
+        triangles, sides = (np.ascontiguousarray(numbers).view(np.uintp) for numbers in mesh.hull)
         return _core.LocalFunctions.hats(
-            self.control_points, mesh.corners.ravel(), mesh.gradients.reshape(-1, 2), triangles, sides
+            self.control_points,
+            mesh.corners.ravel().view(np.uintp),
+            mesh.gradients.reshape(-1, 2),
+            triangles,
+            sides,
         )
 
     @cached_property

@@ -129,7 +129,7 @@ class BSpline(LocalLifting):
     @cached_property
     def _functions(self) -> _core.LocalFunctions:
         x, y, order = self._grid
-        return _core.LocalFunctions.bsplines(x, y, order.ravel())
+        return _core.LocalFunctions.bsplines(x, y, order.ravel().view(np.uintp))
 
     @cached_property
     def _grid(self) -> tuple[_Axis, _Axis, NDArray[np.intp]]:

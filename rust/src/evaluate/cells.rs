@@ -18,7 +18,7 @@ const MOST_VISITS: usize = 32;
 #[derive(Clone, Debug)]
 pub struct Cells {
     axes: [Axis; 2],
-    lists: Sets,
+    lists: Sets<'static>,
 }
 
 /// Cells along an axis. The first and the last go on as far as there are points.
@@ -58,7 +58,7 @@ impl Cells {
 }
 
 /// None if these are too many.
-fn lists(axes: &[Axis; 2], triangles: &[(usize, [[f64; 2]; 3])]) -> Option<Sets> {
+fn lists(axes: &[Axis; 2], triangles: &[(usize, [[f64; 2]; 3])]) -> Option<Sets<'static>> {
     let [x, y] = axes;
     let mut lists = vec![Vec::new(); x.number * y.number];
     let mut visits = MOST_VISITS * triangles.len();

@@ -7,6 +7,7 @@ use crate::error::Error;
 use crate::fit::linalg::{self, dot};
 use crate::fit::rank::{Spectrum, first_deficient, numerical_rank};
 use crate::fit::residuals::Residuals;
+use crate::fit::survey::Survey;
 use crate::fit::{cholesky_qr, householder};
 use crate::pool::Pool;
 
@@ -42,38 +43,8 @@ impl Problem<'_> {
     }
 
     /// Responses of row `i`; none of a penalty row.
-    fn responses_of(&self, i: usize, count: usize) -> &[f64] {
+    pub(super) fn responses_of(&self, i: usize, count: usize) -> &[f64] {
         self.responses.get(i * count..(i + 1) * count).unwrap_or_default()
-    }
-
-    /// A number that changes with any digit of row `i`.
-    pub(super) fn fingerprint(&self, i: usize, responses: usize) -> u64 {
-        let (row, weight) = self.row(i);
-        let mix = |sum: u64, x: &f64| (sum.rotate_left(7) ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        // Four sums side by side: one multiplication need not wait for another.
-        let (fours, rest) = row.as_chunks::<4>();
-        let mut sums = [weight.to_bits(), 1, 2, 3];
-        for four in fours {
-            sums.iter_mut().zip(four).for_each(|(sum, x)| *sum = mix(*sum, x));
-        }
-        let sum = self.responses_of(i, responses).iter().chain(rest).fold(sums[0], mix);
-        sums[1..].iter().fold(sum, |sum, other| mix(sum, &f64::from_bits(*other)))
-    }
-
-    pub(super) fn fingerprints(&self, pool: &Pool<'_>) -> Result<Vec<u64>, Error> {
-        let responses = self.responses.len() / self.rows;
-        let mut all = vec![0; self.total_rows()];
-        let parts = all.chunks_mut(LEAF_ROWS).enumerate();
-        pool.run(
-            parts,
-            || (),
-            |(), (part, prints)| {
-                for (k, print) in prints.iter_mut().enumerate() {
-                    *print = self.fingerprint(part * LEAF_ROWS + k, responses);
-                }
-            },
-        )?;
-        Ok(all)
     }
 
     pub(super) fn check(&self) -> Result<usize, Error> {
@@ -152,9 +123,8 @@ impl Factor {
     /// Factors and fits.
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
-        let scales = column_scales(problem, pool)?;
+        let Survey { scales, fingerprints } = Survey::new(problem, pool)?;
         let (basis, spectrum) = orthonormal(problem, &scales, pool)?;
-        let fingerprints = problem.fingerprints(pool)?;
         let mut factor = Self::fit(problem, (basis, spectrum.rank), None, fingerprints, pool)?;
         factor.coefficients = spectrum.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(problem.columns) {
@@ -363,39 +333,6 @@ impl Factor {
 
 pub(crate) fn expect_length(given: usize, expected: usize) -> Result<(), Error> {
     if given == expected { Ok(()) } else { Err(Error::Length { expected, given }) }
-}
-
-/// Rows of a block: what is done with it twice finds it in the cache the second time.
-const LEAF_ROWS: usize = 512;
-
-/// Powers of two that bring every column's largest entry near one: overflow is then out of the way, and not a
-/// digit changes.
-pub(super) fn column_scales(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-    let columns = problem.columns;
-    let blocks =
-        problem.design.chunks(LEAF_ROWS * columns).chain(problem.penalty.chunks(LEAF_ROWS * columns));
-    let blocks: Vec<&[f64]> = blocks.collect();
-    let mut largest = vec![0.0_f64; blocks.len() * columns];
-    pool.run(
-        blocks.iter().zip(largest.chunks_exact_mut(columns)),
-        || (),
-        |(), (block, largest)| {
-            for row in block.chunks_exact(columns) {
-                for (largest, a) in largest.iter_mut().zip(row) {
-                    // One instruction for several, which `max` is not.
-                    *largest = if a.abs() > *largest { a.abs() } else { *largest };
-                }
-            }
-        },
-    )?;
-    Ok((0..columns)
-        .map(|j| largest.iter().skip(j).step_by(columns).fold(0.0_f64, |a, &b| a.max(b)))
-        .map(
-            |largest| {
-                if largest > 0.0 { (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2() } else { 1.0 }
-            },
-        )
-        .collect())
 }
 
 /// `[W^1/2 b; 0]`.

@@ -21,7 +21,8 @@ use faer::{Accum, ColMut, Conj, Mat, MatMut, MatRef, Par};
 use crate::error::Error;
 use crate::pool::Pool;
 
-/// Sum of products, in eight running sums so that it vectorises.
+/// Sum of products, in eight running sums so that it vectorises; with wider vectors in work that `pulp` dispatches.
+#[inline(always)]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 8];
     let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));

@@ -9,3 +9,4 @@ pub(crate) mod panels;
 pub mod penalty_path;
 pub(crate) mod rank;
 mod residuals;
+mod survey;

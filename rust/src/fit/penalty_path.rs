@@ -8,10 +8,11 @@
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::fit::factor::{Factor, Problem, column_scales, orthonormal, weighted_responses};
+use crate::fit::factor::{Factor, Problem, orthonormal, weighted_responses};
 use crate::fit::householder;
 use crate::fit::linalg::{self, Svd};
 use crate::fit::residuals::Residuals;
+use crate::fit::survey::Survey;
 use crate::pool::Pool;
 
 /// A problem, factorised once for all weights of its penalty.
@@ -49,7 +50,7 @@ impl PenaltyPath {
         let design = Problem { penalty: &[], ..*problem };
         // Of the design alone: in other units the penalty's entries are other multiples of the design's, and with them the
         // scales would round otherwise.
-        let scales = column_scales(&design, pool)?;
+        let Survey { scales, fingerprints } = Survey::new(&design, pool)?;
         let (basis, triangle) = if rows > TALL * width {
             let (basis, spectrum) = orthonormal(&design, &scales, pool)?;
             (Some(basis), spectrum.rows())
@@ -69,7 +70,6 @@ impl PenaltyPath {
         };
         let responses = (weighted_responses(&design, responses), responses);
         let projection = Residuals::new(responses, (&left, cosines.len()), None, pool)?.projection;
-        let fingerprints = design.fingerprints(pool)?;
         Ok(Self { determined, left, projection, cosines, sines, back, columns, fingerprints })
     }
 

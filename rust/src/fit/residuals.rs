@@ -2,6 +2,8 @@
 
 use std::iter::repeat_with;
 
+use pulp::Arch;
+
 use crate::error::Error;
 use crate::fit::linalg::{self, dot};
 use crate::pool::Pool;
@@ -70,7 +72,7 @@ impl Residuals {
             sum,
         });
         let blocks: Vec<Block<'_>> = blocks.collect();
-        pool.run(blocks.into_iter(), || (), |(), block| work(block))?;
+        pool.run(blocks.into_iter(), Arch::new, |arch, block| arch.dispatch(|| work(block)))?;
         let mut total = vec![0.0; rank * width];
         for sum in &sums {
             total.iter_mut().zip(sum).for_each(|(total, x)| *total += x);

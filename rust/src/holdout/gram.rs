@@ -79,6 +79,7 @@ impl Gram {
 
     fn pack<'a>(&mut self, rows: &[usize], fetch: impl Fn(usize) -> (&'a [f64], &'a [f64])) {
         let (order, length) = (self.order, rows.len());
+        touch(rows.iter().map(|&row| fetch(row).0));
         self.terms.resize(self.count() * length * PANEL, 0.0);
         let (lines, _) = self.terms.as_chunks_mut::<PANEL>();
         for (k, &row) in rows.iter().enumerate() {
@@ -93,6 +94,13 @@ impl Gram {
             }
         }
     }
+}
+
+/// Reads a number of every cache line of some rows, far apart in memory: asked for together, they arrive together.
+pub(crate) fn touch<'a>(rows: impl Iterator<Item = &'a [f64]>) {
+    std::hint::black_box(
+        rows.flat_map(|row| row.iter().step_by(PANEL)).fold(0, |bits, x| bits ^ x.to_bits()),
+    );
 }
 
 /// Adds `sign` times the products of packed rows to the lower triangle and the border.

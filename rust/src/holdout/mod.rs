@@ -10,5 +10,6 @@ mod probes;
 pub mod rescue;
 pub mod residuals;
 pub mod scheme;
+pub mod score;
 mod spread;
 mod walk;

@@ -8,8 +8,12 @@ use crate::holdout::hat::HAT_ROWS;
 use crate::holdout::scheme::Scheme;
 use crate::sets::Sets;
 
-/// Multiply-adds of a portion, so that none delays an interrupt.
-const PORTION_COST: f64 = 1e9;
+/// Multiply-adds of a portion: none delays an interrupt, and none is done before a thread has woken up for it.
+const MOST_COST: f64 = 1e9;
+const LEAST_COST: f64 = 1e5;
+
+/// What a pair takes beside its arithmetic, in multiply-adds.
+const PAIR: f64 = 200.0;
 
 /// Portions of a chain, and the steps that one has if neighbours share their matrices: only its first forms one afresh.
 const PORTIONS: usize = 32;
@@ -65,18 +69,19 @@ pub(super) fn portions<'a>(
     factor: &Factor,
     rows: &Sets,
 ) -> Vec<Portion<'a>> {
-    let p = factor.rank as f64;
     let coupling = factor.rows as f64 / rows.len().max(1) as f64;
     let mut portions = Vec::new();
     for chain in chains {
         let shared = chain.order.is_some();
         let cost = |&s: &usize| {
             let mean = schemes[s].held.mean();
-            p * p * (p / 6.0 + coupling * if shared { rim(mean) } else { mean } / 2.0)
+            let changed = if shared { rim(mean) } else { mean };
+            let (dual, primal) = costs(coupling * mean, coupling * changed, factor.rank, false);
+            PAIR + dual.min(primal)
         };
-        let most = (PORTION_COST / chain.schemes.iter().map(cost).sum::<f64>().max(1.0)) as usize;
-        let least = if shared { SHARING_STEPS } else { 1 };
-        let steps = (chain.length / PORTIONS).max(least).min(most).max(1);
+        let step: f64 = chain.schemes.iter().map(cost).sum();
+        let least = ((LEAST_COST / step) as usize).max(if shared { SHARING_STEPS } else { 1 });
+        let steps = (chain.length / PORTIONS).max(least).min((MOST_COST / step) as usize).max(1);
         let firsts = (0..chain.length).step_by(steps);
         portions.extend(firsts.map(|first| Portion { chain, steps: first..chain.length.min(first + steps) }));
     }
@@ -123,6 +128,14 @@ pub(super) fn hat_pays(chains: &[Chain<'_>], schemes: &[Scheme<'_>], factor: &Fa
         return false;
     };
     let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
+    let widest = (0..rows.len()).map(|datum| rows.get(datum).len()).max().unwrap_or(0);
+    let at_most = |scheme: &Scheme<'_>| {
+        let rows = (scheme.held.largest() * widest) as f64;
+        scheme.steps() as f64 * costs(rows, 0.0, factor.rank, false).0
+    };
+    if schemes.iter().map(at_most).sum::<f64>() <= whole {
+        return false;
+    }
     let (mut with, mut without) = (whole, 0.0);
     for chain in chains {
         for step in 0..chain.length {

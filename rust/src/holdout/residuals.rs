@@ -6,9 +6,12 @@
 //! [`Bordered`](crate::holdout::kernel::Bordered). A smallest eigenvalue near zero says that the training rows barely
 //! determine the model: see [`crate::holdout::rescue`].
 
+use pulp::Arch;
+
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
 use crate::fit::linalg::dot;
+use crate::holdout::gram::touch;
 use crate::holdout::hat::Hat;
 use crate::holdout::plan::{self, Portion, costs, lead};
 use crate::holdout::probes::PROBES;
@@ -19,6 +22,9 @@ use crate::sets::Sets;
 
 /// Validated rows that ride along as border rows, instead of a back substitution for all unknowns.
 pub(super) const MOST_CARRIED: usize = 4;
+
+/// Rows that are fetched together.
+const BATCH: usize = 64;
 
 /// What became of a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +81,7 @@ impl Factor {
         }
         self.rescue(problem, &ground, &places, &mut residuals, &mut status, pool)?;
         let status = status.into_iter().map(|s| s.unwrap_or(Status::Undefined)).collect();
-        let validated = schemes.iter().flat_map(|scheme| &scheme.validated.items);
+        let validated = schemes.iter().flat_map(|scheme| scheme.validated.items.iter());
         let listed = validated.flat_map(|&datum| rows.get(datum)).copied().collect();
         Ok(Predictions { residuals, rows: listed, offsets: places.offsets, status })
     }
@@ -230,22 +236,33 @@ impl Question for LastModel<'_> {
         let place = (at.k, at.chain.schemes.len());
         let out = answer.slot(factor, work, place).0;
         for c in 0..responses {
-            let rows = work.rows[..validated].iter().enumerate();
+            let rows = work.rows[..validated].iter().zip(out.iter_mut().skip(c).step_by(responses));
             // The border came out as y = -L^-1 Q_K^T e_K, and rows that rode along as u = L^-1 q.
             if riding == validated {
-                for (k, &row) in rows {
+                for (k, (&row, out)) in rows.enumerate() {
                     let change: f64 = work.system.forward_products(c, responses + PROBES + k).sum();
-                    out[k * responses + c] = factor.residual_row(row)[c] - change;
+                    *out = factor.residual_row(row)[c] - change;
                 }
             } else {
                 let z = work.system.back_solve(c, 0);
-                for (k, &row) in rows {
-                    out[k * responses + c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
-                }
+                predict_rows(factor, &work.rows[..validated], z, c, out);
             }
         }
         answer.accept(factor, work, place, least);
     }
+}
+
+/// Residuals of response c of rows, given the change `z` of its coefficients in the basis.
+fn predict_rows(factor: &Factor, rows: &[usize], z: &[f64], c: usize, out: &mut [f64]) {
+    let batches = rows.chunks(BATCH).zip(out.chunks_mut(BATCH * factor.responses));
+    Arch::new().dispatch(|| {
+        for (batch, out) in batches {
+            touch(batch.iter().map(|&row| factor.basis_row(row)));
+            for (&row, out) in batch.iter().zip(out.chunks_exact_mut(factor.responses)) {
+                out[c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
+            }
+        }
+    });
 }
 
 /// Brings residuals of rows from weighted to plain units.

@@ -11,7 +11,7 @@ pub struct Scheme<'a> {
     /// Held-out data of each pair.
     pub held: Held<'a>,
     /// Validated data of each pair, a subset of those held out.
-    pub validated: &'a Sets,
+    pub validated: &'a Sets<'a>,
     /// The pairs in an order in which successive ones are near each other, if one is known: they then share most of what
     /// they hold out. Without it they are visited as listed.
     pub order: Option<&'a [usize]>,
@@ -21,14 +21,14 @@ pub struct Scheme<'a> {
 #[derive(Clone, Copy)]
 pub enum Held<'a> {
     /// Listed.
-    Sets(&'a Sets),
+    Sets(&'a Sets<'a>),
     /// Neighbourhoods, found when they are needed.
     Lazy(&'a LazyNeighbourhoods),
 }
 
 impl<'a> Held<'a> {
     /// The sets, if they are listed.
-    pub(super) fn listed(self) -> Option<&'a Sets> {
+    pub(super) fn listed(self) -> Option<&'a Sets<'a>> {
         match self {
             Self::Sets(sets) => Some(sets),
             Self::Lazy(_) => None,

@@ -20,7 +20,7 @@ use crate::sets::Sets;
 pub(super) struct Ground<'a> {
     pub(super) factor: &'a Factor,
     pub(super) schemes: &'a [Scheme<'a>],
-    pub(super) rows: &'a Sets,
+    pub(super) rows: &'a Sets<'a>,
     /// The hat matrix, where it pays.
     pub(super) hat: Option<Hat>,
 }

@@ -23,7 +23,7 @@ use crate::sets::{MOST_MEMBERS, Sets};
 /// assert_eq!(sets.get(2), &[1, 2, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn delaunay(points: &[f64], pool: &Pool<'_>) -> Result<Sets, Error> {
+pub fn delaunay(points: &[f64], pool: &Pool<'_>) -> Result<Sets<'static>, Error> {
     if points.len() % 2 == 1 {
         return Err(Error::Length { expected: points.len() - 1, given: points.len() });
     }
@@ -52,7 +52,7 @@ pub fn delaunay(points: &[f64], pool: &Pool<'_>) -> Result<Sets, Error> {
 }
 
 /// The distinct places, and the points at each of them, sorted.
-fn places(points: &[[f64; 2]]) -> (Vec<[f64; 2]>, Sets) {
+fn places(points: &[[f64; 2]]) -> (Vec<[f64; 2]>, Sets<'static>) {
     let mut items: Vec<usize> = (0..points.len()).collect();
     items.sort_unstable_by(|&i, &j| {
         let by_place = points[i].partial_cmp(&points[j]).unwrap_or(std::cmp::Ordering::Equal);
@@ -63,7 +63,7 @@ fn places(points: &[[f64; 2]]) -> (Vec<[f64; 2]>, Sets) {
         distinct.push(points[group[0]]);
         offsets.push(offsets[distinct.len() - 1] + group.len());
     }
-    (distinct, Sets { offsets, items })
+    (distinct, (offsets, items).into())
 }
 
 fn data_at(places: &[usize], members: &Sets) -> Vec<usize> {
@@ -112,7 +112,7 @@ mod tests {
 
     use super::*;
 
-    fn triangulated(points: &[f64]) -> Result<Sets, Error> {
+    fn triangulated(points: &[f64]) -> Result<Sets<'static>, Error> {
         delaunay(points, &Pool::new(1, &std::sync::atomic::AtomicBool::new(false)))
     }
 
@@ -259,17 +259,17 @@ mod tests {
     #[test]
     fn few_points() {
         assert!(triangulated(&[]).unwrap().is_empty());
-        assert_eq!(triangulated(&[1.0, 2.0]).unwrap().items, [0]);
-        assert_eq!(triangulated(&[1.0, 2.0, 3.0, 4.0]).unwrap().items, [0, 1, 0, 1]);
-        assert_eq!(triangulated(&[1.0, 2.0, 1.0, 2.0]).unwrap().items, [0, 1, 0, 1]);
-        assert_eq!(triangulated(&[0.0; 6]).unwrap().items, [0, 1, 2, 0, 1, 2, 0, 1, 2]);
+        assert_eq!(*triangulated(&[1.0, 2.0]).unwrap().items, [0]);
+        assert_eq!(*triangulated(&[1.0, 2.0, 3.0, 4.0]).unwrap().items, [0, 1, 0, 1]);
+        assert_eq!(*triangulated(&[1.0, 2.0, 1.0, 2.0]).unwrap().items, [0, 1, 0, 1]);
+        assert_eq!(*triangulated(&[0.0; 6]).unwrap().items, [0, 1, 2, 0, 1, 2, 0, 1, 2]);
     }
 
     #[test]
     fn any_finite_magnitude_will_do() {
         for size in [f64::MAX, 1e-300, 5e-324] {
             let sets = triangulated(&[0.0, 0.0, size, 0.0, 0.0, -size]).unwrap();
-            assert_eq!(sets.items, [0, 1, 2, 0, 1, 2, 0, 1, 2], "{size}");
+            assert_eq!(*sets.items, [0, 1, 2, 0, 1, 2, 0, 1, 2], "{size}");
         }
         // Next to the largest, subnormal coordinates are zero: their points coincide.
         assert_eq!(triangulated(&[0.0, 0.0, 1e-310, 0.0, 1.0, 0.0]).unwrap().get(0), &[0, 1, 2]);

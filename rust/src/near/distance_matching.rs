@@ -44,7 +44,7 @@ pub fn matched(
     dimension: usize,
     most: usize,
     pool: &Pool<'_>,
-) -> Result<Sets, Error> {
+) -> Result<Sets<'static>, Error> {
     if !(1..=3).contains(&dimension) {
         return Err(Error::Dimension { given: dimension });
     }
@@ -69,7 +69,7 @@ fn in_space<const N: usize>(
     queries: &[[f64; N]],
     most: usize,
     pool: &Pool<'_>,
-) -> Result<Sets, Error> {
+) -> Result<Sets<'static>, Error> {
     let tree = Tree::new(points, pool)?;
     let mut wanted = vec![0; queries.len()];
     pool.run(

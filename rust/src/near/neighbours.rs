@@ -24,7 +24,7 @@ use crate::sets::{MOST_MEMBERS, Sets};
 /// assert_eq!(sets.get(2), &[0, 2, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Result<Sets, Error> {
+pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Result<Sets<'static>, Error> {
     let scale = checked_scale(points, dimension)?;
     let radius = radius.max(0.0) * scale;
     match dimension {
@@ -47,7 +47,7 @@ pub fn within(points: &[f64], dimension: usize, radius: f64, pool: &Pool) -> Res
 /// assert_eq!(sets.get(3), &[1, 3]);
 /// # Ok::<(), mexpress::error::Error>(())
 /// ```
-pub fn nearest(points: &[f64], dimension: usize, k: usize, pool: &Pool) -> Result<Sets, Error> {
+pub fn nearest(points: &[f64], dimension: usize, k: usize, pool: &Pool) -> Result<Sets<'static>, Error> {
     let scale = checked_scale(points, dimension)?;
     let n = points.len() / dimension;
     if k == 0 {
@@ -97,7 +97,7 @@ pub(crate) fn scaled<const N: usize>(points: &[f64], dimension: usize, scale: f6
     points.chunks_exact(dimension).map(lift).collect()
 }
 
-fn all_within<const N: usize>(points: &[[f64; N]], square: f64, pool: &Pool) -> Result<Sets, Error> {
+fn all_within<const N: usize>(points: &[[f64; N]], square: f64, pool: &Pool) -> Result<Sets<'static>, Error> {
     let tree = Tree::new(points, pool)?;
     let total = AtomicUsize::new(0);
     // In the order of the tree's leaves, whose points share a search.
@@ -140,7 +140,7 @@ fn filled<const N: usize, W>(
     pool: &Pool,
     workspace: impl Fn() -> W + Sync,
     fill: impl Fn(&mut W, usize, &mut [&mut [usize]]) + Sync,
-) -> Result<Sets, Error> {
+) -> Result<Sets<'static>, Error> {
     let mut offsets = vec![0; sizes.len() + 1];
     for (i, size) in sizes.iter().enumerate() {
         offsets[i + 1] = offsets[i] + size;
@@ -161,7 +161,7 @@ fn filled<const N: usize, W>(
             rows.iter_mut().for_each(|row| row.sort_unstable());
         }
     })?;
-    Ok(Sets { offsets, items })
+    Ok((offsets, items).into())
 }
 
 /// Neighbourhoods that are found when they are asked for: those of many points need more memory than there is.
@@ -179,7 +179,7 @@ fn filled<const N: usize, W>(
 pub struct LazyNeighbourhoods {
     index: Index,
     /// Each point alone.
-    pub singletons: Sets,
+    pub singletons: Sets<'static>,
     /// About how many members a neighbourhood has.
     pub mean: f64,
 }
@@ -227,7 +227,7 @@ impl LazyNeighbourhoods {
             _ => Index::Space(Balls::new(scaled(points, dimension, scale), reach, pool)?),
         };
         let count = points.len() / dimension;
-        let singletons = Sets { offsets: (0..=count).collect(), items: (0..count).collect() };
+        let singletons = ((0..=count).collect(), (0..count).collect()).into();
         let mut lazy = Self { index, singletons, mean: 0.0 };
         let mut members = Vec::new();
         let sampled: Vec<usize> = (0..count).step_by(count.div_ceil(SAMPLES).max(1)).collect();
@@ -269,7 +269,7 @@ pub(crate) fn all_nearest<const N: usize>(
     tree: &Tree<N>,
     sizes: &[usize],
     pool: &Pool,
-) -> Result<Sets, Error> {
+) -> Result<Sets<'static>, Error> {
     if sizes.iter().fold(0, |total: usize, &k| total.saturating_add(k)) > MOST_MEMBERS {
         return Err(Error::TooMany { most: MOST_MEMBERS });
     }
@@ -305,13 +305,13 @@ mod tests {
         (0..dimension).fold(0.0, |sum, axis| sum + difference(axis) * difference(axis))
     }
 
-    fn oracle_within(points: &[f64], dimension: usize, radius: f64) -> Sets {
+    fn oracle_within(points: &[f64], dimension: usize, radius: f64) -> Sets<'static> {
         let n = points.len() / dimension;
         let near = |i| (0..n).filter(move |&j| square(points, dimension, i, j) <= radius * radius).collect();
         (0..n).map(near).collect()
     }
 
-    fn oracle_nearest(points: &[f64], dimension: usize, k: usize) -> Sets {
+    fn oracle_nearest(points: &[f64], dimension: usize, k: usize) -> Sets<'static> {
         let n = points.len() / dimension;
         let near = |i| {
             let mut order: Vec<usize> = (0..n).collect();

@@ -1,15 +1,35 @@
 //! NumPy's arrays as slices and sets, and back.
+//!
+//! Indices come as int64 arrays seen as unsigned: a negative one is beyond every bound.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use super::interrupt::interruptible;
 use crate::sets::Sets;
+
+#[cfg(not(target_pointer_width = "64"))]
+compile_error!("indices of 64 bits are read in place");
 
 pub(super) type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 pub(super) type Array2<'py, T> = Bound<'py, PyArray2<T>>;
 pub(super) type Arrays<'py> = (Array1<'py, i64>, Array1<'py, i64>);
-pub(super) type ReadSets<'py> = (PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i64>);
+
+/// Sets in compressed rows, offsets and members, read where they are: they may take gigabytes.
+#[derive(FromPyObject)]
+pub(super) struct ReadSets<'py>(PyReadonlyArray1<'py, usize>, PyReadonlyArray1<'py, usize>);
+
+impl ReadSets<'_> {
+    pub(super) fn sets(&self) -> PyResult<Sets<'_>> {
+        let (offsets, items) = (slice(&self.0)?, slice(&self.1)?);
+        let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
+        if !(whole && offsets.is_sorted()) {
+            return Err(PyValueError::new_err("offsets do not cut the items into sets"));
+        }
+        Ok(Sets { offsets: offsets.into(), items: items.into() })
+    }
+}
 
 pub(super) fn slice<'a, T: numpy::Element>(array: &'a PyReadonlyArray1<'_, T>) -> PyResult<&'a [T]> {
     array.as_slice().map_err(|_| PyValueError::new_err("array is not contiguous"))
@@ -20,41 +40,13 @@ pub(super) fn matrix<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>) 
         .ok_or_else(|| PyValueError::new_err("array is not contiguous"))
 }
 
-/// Numbers copied between two looks for Ctrl-C: lists of neighbourhoods have hundreds of millions.
-const COPIED_AT_ONCE: usize = 1 << 22;
-
-pub(super) fn numbers(values: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
-    let mut copied = Vec::with_capacity(values.len());
-    append(values, &mut copied)?;
-    Ok(copied)
-}
-
-fn append(values: &PyReadonlyArray1<'_, i64>, copied: &mut Vec<usize>) -> PyResult<()> {
-    for part in slice(values)?.chunks(COPIED_AT_ONCE) {
-        values.py().check_signals()?;
-        for &i in part {
-            copied.push(usize::try_from(i).map_err(|_| PyValueError::new_err("negative index"))?);
-        }
-    }
-    Ok(())
-}
-
-pub(super) fn sets((offsets, items): &ReadSets<'_>) -> PyResult<Sets> {
-    let offsets = numbers(offsets)?;
-    let whole = offsets.first() == Some(&0) && offsets.last() == Some(&items.len());
-    if !(whole && offsets.is_sorted()) {
-        return Err(PyValueError::new_err("offsets do not cut the items into sets"));
-    }
-    Ok(Sets { offsets, items: numbers(items)? })
-}
-
 pub(super) fn indices(py: Python<'_>, values: Vec<usize>) -> Array1<'_, i64> {
     // Collected in place: no second list.
     PyArray1::from_vec(py, values.into_iter().map(|i| i as i64).collect())
 }
 
-pub(super) fn arrays(py: Python<'_>, sets: Sets) -> Arrays<'_> {
-    (indices(py, sets.offsets), indices(py, sets.items))
+pub(super) fn arrays<'py>(py: Python<'py>, sets: Sets<'_>) -> Arrays<'py> {
+    (indices(py, sets.offsets.into_owned()), indices(py, sets.items.into_owned()))
 }
 
 pub(super) fn table<'py>(
@@ -66,20 +58,42 @@ pub(super) fn table<'py>(
     PyArray1::from_vec(py, values).reshape([rows, columns])
 }
 
-/// Row and column of the first entry that is NaN or infinite.
+/// Entries that are looked at between two looks for Ctrl-C.
+const AT_ONCE: usize = 1 << 20;
+
+/// Numbers that are compared side by side.
+const LANES: usize = 8;
+
+/// The largest absolute value; NaN unless all are finite.
 #[pyfunction]
-pub(super) fn find_not_finite(
+pub(super) fn largest(py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+    let values = slice(&values)?;
+    interruptible(py, values.len() as f64, 1, |pool| {
+        let (mut largest, mut nothing) = ([0.0; LANES], [0.0; LANES]);
+        let mut look = |k: usize, x: f64| {
+            largest[k] = if x.abs() > largest[k] { x.abs() } else { largest[k] };
+            // NaN as soon as a number is not finite.
+            nothing[k] += x * 0.0;
+        };
+        for part in values.chunks(AT_ONCE) {
+            pool.proceed()?;
+            let (whole, rest) = part.as_chunks::<LANES>();
+            whole.iter().for_each(|lanes| lanes.iter().enumerate().for_each(|(k, x)| look(k, *x)));
+            rest.iter().enumerate().for_each(|(k, x)| look(k, *x));
+        }
+        Ok(largest.into_iter().fold(0.0, f64::max) + nothing.into_iter().sum::<f64>())
+    })
+}
+
+/// Whether these are sets of indices below a bound that increase in each set.
+#[pyfunction]
+pub(super) fn are_sets(
     py: Python<'_>,
-    values: PyReadonlyArray2<'_, f64>,
-) -> PyResult<Option<(usize, usize)>> {
-    let columns = values.shape()[1];
-    let values = matrix(&values)?;
-    // Blocks without an early exit vectorise: one pass at the speed of memory.
-    let first = py.detach(|| {
-        values.chunks(4096).enumerate().find_map(|(b, block)| {
-            let finite = block.iter().fold(true, |finite, x| finite & x.is_finite());
-            if finite { None } else { block.iter().position(|x| !x.is_finite()).map(|i| b * 4096 + i) }
-        })
-    });
-    Ok(first.map(|i| (i / columns, i % columns)))
+    offsets: PyReadonlyArray1<'_, usize>,
+    items: PyReadonlyArray1<'_, usize>,
+    bound: usize,
+) -> PyResult<bool> {
+    let given = ReadSets(offsets, items);
+    let Ok(sets) = given.sets() else { return Ok(false) };
+    interruptible(py, sets.items.len() as f64, 1, |pool| sets.increase_below(bound, pool))
 }

@@ -4,7 +4,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, indices, matrix, numbers, table};
+use super::arrays::{Array1, Array2, indices, matrix, slice, table};
 use super::interrupt::interruptible;
 use crate::error::Error;
 use crate::evaluate::bspline::{Axis, BSplines};
@@ -82,10 +82,10 @@ impl LocalFunctions {
     fn bsplines(
         x: (f64, f64, usize),
         y: (f64, f64, usize),
-        order: PyReadonlyArray1<'_, i64>,
+        order: PyReadonlyArray1<'_, usize>,
     ) -> PyResult<Self> {
         let axes = [x, y].map(|(low, step, number)| Axis { low, step, number });
-        BSplines::new(axes, numbers(&order)?)
+        BSplines::new(axes, slice(&order)?.to_vec())
             .map(|functions| Self(Kind::BSplines(functions)))
             .ok_or_else(|| PyValueError::new_err("no grid"))
     }
@@ -95,14 +95,15 @@ impl LocalFunctions {
     fn hats(
         py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,
-        corners: PyReadonlyArray1<'_, i64>,
+        corners: PyReadonlyArray1<'_, usize>,
         gradients: PyReadonlyArray2<'_, f64>,
-        triangles: PyReadonlyArray1<'_, i64>,
-        sides: PyReadonlyArray1<'_, i64>,
+        triangles: PyReadonlyArray1<'_, usize>,
+        sides: PyReadonlyArray1<'_, usize>,
     ) -> PyResult<Self> {
-        let hull: Vec<_> = numbers(&triangles)?.into_iter().zip(numbers(&sides)?).collect();
-        let (points, corners, gradients) = (matrix(&points)?, numbers(&corners)?, matrix(&gradients)?);
-        let hats = py.detach(|| Hats::new(points, &corners, gradients, &hull))?;
+        let hull: Vec<_> =
+            std::iter::zip(slice(&triangles)?, slice(&sides)?).map(|(&t, &side)| (t, side)).collect();
+        let (points, corners, gradients) = (matrix(&points)?, slice(&corners)?, matrix(&gradients)?);
+        let hats = py.detach(|| Hats::new(points, corners, gradients, &hull))?;
         Ok(Self(Kind::Hats(Box::new(hats))))
     }
 

@@ -1,15 +1,21 @@
 //! One least-squares problem and its pairs.
 
-use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use std::ops::Range;
+
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, ReadSets, indices, numbers, sets, table};
+use super::arrays::{Array1, Array2, ReadSets, indices, table};
 use super::interrupt::interruptible;
 use super::problem::KeptArrays;
+use super::scheme::{Listing, ReadScheme};
 use crate::fit::factor;
-use crate::holdout::residuals::Status;
+use crate::holdout::residuals::{Predictions, Status};
 use crate::holdout::scheme::{Held, Scheme};
 use crate::sets::Sets;
+
+/// Score, residuals, their rows and pairs, and the pairs that are undefined.
+type Predicted<'py> = (f64, Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>);
 
 /// A fitted least-squares problem.
 #[pyclass(frozen, module = "mexpress._core")]
@@ -46,49 +52,41 @@ impl Factor {
         table(py, self.fit.plain_residuals(), self.fit.rows, self.fit.responses)
     }
 
+    /// Of data that have these rows.
+    fn fit_rms(&self, rows: ReadSets<'_>) -> PyResult<f64> {
+        Ok(self.fit.fit_rms(&rows.sets()?))
+    }
+
     #[getter]
     fn leverage<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         PyArray1::from_slice(py, &self.fit.leverage)
     }
 
-    /// (residuals, rows, offsets, undefined) of the pairs of schemes, each given as what is held out, what is validated, and
-    /// an order of its pairs.
-    #[expect(clippy::type_complexity)]
+    /// (score, residuals, rows, pairs, undefined pairs) of each scheme.
     fn predict<'py>(
         &self,
         py: Python<'py>,
-        schemes: Vec<(ReadSets<'py>, ReadSets<'py>, Option<PyReadonlyArray1<'py, i64>>)>,
+        schemes: Vec<ReadScheme<'py>>,
         rows: ReadSets<'py>,
         threads: usize,
-    ) -> PyResult<(Array2<'py, f64>, Array1<'py, i64>, Array1<'py, i64>, Array1<'py, i64>)> {
-        let read = |(held, validated, order): &(_, _, Option<_>)| {
-            Ok((sets(held)?, sets(validated)?, order.as_ref().map(numbers).transpose()?))
-        };
-        let lists = schemes.iter().map(read).collect::<PyResult<Vec<(Sets, Sets, Option<Vec<usize>>)>>>()?;
-        let schemes: Vec<Scheme<'_>> = lists
-            .iter()
-            .map(|(held, validated, order)| Scheme {
-                held: Held::Sets(held),
-                validated,
-                order: order.as_deref(),
-            })
-            .collect();
-        let rows = sets(&rows)?;
+    ) -> PyResult<Vec<Predicted<'py>>> {
+        let lists = schemes.iter().map(ReadScheme::listing).collect::<PyResult<Vec<_>>>()?;
+        let schemes: Vec<Scheme<'_>> = lists.iter().map(Listing::scheme).collect();
+        let rows = rows.sets()?;
         // At worst every pair is refitted.
-        let count: usize = lists.iter().map(|(held, ..)| held.len()).sum();
+        let count: usize = schemes.iter().map(|scheme| scheme.validated.len()).sum();
         let cost = 2.0 * count as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let found =
             interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &schemes, &rows, pool))?;
-        let lost = (0..found.status.len()).filter(|&pair| found.status[pair] == Status::Undefined).collect();
-        let count = found.rows.len();
-        Ok((
-            table(py, found.residuals, count, self.fit.responses)?,
-            indices(py, found.rows),
-            indices(py, found.offsets),
-            indices(py, lost),
-        ))
+        let mut first = 0;
+        let predicted = |scheme: &Scheme<'_>| {
+            let pairs = first..first + scheme.validated.len();
+            first = pairs.end;
+            self.predicted(py, &found, pairs, scheme.validated, &rows)
+        };
+        schemes.iter().map(predicted).collect()
     }
 
     /// The covariances of the prediction residuals of pairs, flattened one after another.
@@ -100,7 +98,7 @@ impl Factor {
         rows: ReadSets<'py>,
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
-        let (held, validated, rows) = (sets(&held)?, sets(&validated)?, sets(&rows)?);
+        let (held, validated, rows) = (held.sets()?, validated.sets()?, rows.sets()?);
         let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: None };
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
@@ -117,10 +115,38 @@ impl Factor {
         rows: ReadSets<'py>,
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
-        let rows = sets(&rows)?;
+        let rows = rows.sets()?;
         let squares: f64 = (0..rows.len()).map(|s| (rows.get(s).len() as f64).powi(2)).sum();
         let cost = squares * self.fit.rank as f64;
         let blocks = interruptible(py, cost, threads, |pool| self.fit.hat_blocks(&rows, pool))?;
         Ok(PyArray1::from_vec(py, blocks))
+    }
+}
+
+impl Factor {
+    /// The part of the predictions that belongs to a scheme.
+    fn predicted<'py>(
+        &self,
+        py: Python<'py>,
+        found: &Predictions,
+        pairs: Range<usize>,
+        validated: &Sets<'_>,
+        rows: &Sets<'_>,
+    ) -> PyResult<Predicted<'py>> {
+        let ends = &found.offsets[pairs.start..=pairs.end];
+        let (first, count) = (ends[0], ends[ends.len() - 1] - ends[0]);
+        let residuals = &found.residuals[first * self.fit.responses..][..count * self.fit.responses];
+        let pair_of_row =
+            ends.windows(2).enumerate().flat_map(|(k, end)| std::iter::repeat_n(k, end[1] - end[0]));
+        let undefined: Vec<usize> =
+            (0..pairs.len()).filter(|pair| found.status[pairs.start + pair] == Status::Undefined).collect();
+        let score = if undefined.is_empty() { self.fit.score(rows, validated, residuals) } else { f64::NAN };
+        Ok((
+            score,
+            PyArray1::from_slice(py, residuals).reshape([count, self.fit.responses])?,
+            indices(py, found.rows[first..][..count].to_vec()),
+            indices(py, pair_of_row.collect()),
+            indices(py, undefined),
+        ))
     }
 }

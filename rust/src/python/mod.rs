@@ -11,6 +11,7 @@ mod nested;
 mod penalty_path;
 mod place;
 mod problem;
+mod scheme;
 
 use pyo3::prelude::*;
 
@@ -18,7 +19,7 @@ use pyo3::prelude::*;
 #[pymodule(gil_used = false)]
 mod _core {
     #[pymodule_export]
-    use super::arrays::find_not_finite;
+    use super::arrays::{are_sets, largest};
     #[pymodule_export]
     use super::evaluate::{LocalFunctions, preimages_of, spline_slopes, spline_values};
     #[pymodule_export]
