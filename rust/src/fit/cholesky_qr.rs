@@ -34,14 +34,15 @@ pub(super) fn orthonormal(
     }
     let mut tasks = Tasks::new(rows, columns);
     let gram = tasks.gram(pool, |first, block| load(problem, scales, first, block))?;
-    let Some(coarse) = unit_cholesky(gram, columns) else { return Ok(None) };
+    let Some(coarse) = unit_cholesky(gram, columns, pool)? else { return Ok(None) };
     let gram = tasks.gram(pool, |_, block| panels::solve(&coarse, columns, columns, block))?;
     if distance_to_identity(&gram, columns) > FARTHEST {
         return Ok(None);
     }
-    let Some(fine) = panels::cholesky(gram, columns) else { return Ok(None) };
+    let Some(fine) = panels::cholesky(gram, columns, pool)? else { return Ok(None) };
     let basis = tasks.rows(pool, |block| panels::solve(&fine, columns, columns, block))?;
-    let spectrum = Spectrum::new(&triangle(&coarse, &fine, columns), columns, columns, rows, pool)?;
+    let triangle = triangle(&coarse, &fine, columns, pool)?;
+    let spectrum = Spectrum::new(&triangle, columns, columns, rows, pool)?;
     Ok((spectrum.rank == columns).then_some((basis, spectrum)))
 }
 
@@ -71,7 +72,10 @@ impl Tasks {
             self.storage.chunks_mut(task * columns).zip(parts.chunks_exact_mut(square)).enumerate(),
             || (),
             |(), (k, (rows, part))| {
-                for (l, block) in rows.chunks_mut(BLOCK * columns).enumerate() {
+                // Once called off, nobody reads the result.
+                let called =
+                    rows.chunks_mut(BLOCK * columns).enumerate().take_while(|_| pool.proceed().is_ok());
+                for (l, block) in called {
                     let (block, _) = block.as_chunks_mut();
                     change(k * task + l * BLOCK, block);
                     panels::add_gram(block, columns, part);
@@ -90,7 +94,7 @@ impl Tasks {
     fn rows(self, pool: &Pool<'_>, change: impl Fn(&mut [Lanes]) + Sync) -> Result<Vec<f64>, Error> {
         let Self { mut storage, rows, columns } = self;
         pool.run(storage.chunks_mut(task_rows(rows) * columns), Vec::new, |scratch, rows| {
-            for block in rows.chunks_mut(BLOCK * columns) {
+            for block in rows.chunks_mut(BLOCK * columns).take_while(|_| pool.proceed().is_ok()) {
                 change(block.as_chunks_mut().0);
                 scratch.clear();
                 scratch.extend_from_slice(block);
@@ -125,10 +129,10 @@ fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [Lanes]
 }
 
 /// The Cholesky factor of a Gram matrix, factored with columns at unit length; none where these are too near dependence.
-fn unit_cholesky(mut gram: Vec<f64>, columns: usize) -> Option<Vec<f64>> {
+fn unit_cholesky(mut gram: Vec<f64>, columns: usize, pool: &Pool<'_>) -> Result<Option<Vec<f64>>, Error> {
     let norms: Vec<f64> = gram.iter().step_by(columns + 1).map(|square| square.sqrt()).collect();
     if norms.iter().any(|&norm| norm.is_nan() || norm <= 0.0) {
-        return None;
+        return Ok(None);
     }
     let scale = |gram: &mut [f64], by: &dyn Fn(usize, usize) -> f64| {
         for (j, column) in gram.chunks_exact_mut(columns).enumerate() {
@@ -136,12 +140,12 @@ fn unit_cholesky(mut gram: Vec<f64>, columns: usize) -> Option<Vec<f64>> {
         }
     };
     scale(&mut gram, &|i, j| (norms[i] * norms[j]).recip());
-    let mut factor = panels::cholesky(gram, columns)?;
+    let Some(mut factor) = panels::cholesky(gram, columns, pool)? else { return Ok(None) };
     if factor.iter().step_by(columns + 1).any(|pivot| pivot * pivot < LEAST_PIVOT) {
-        return None;
+        return Ok(None);
     }
     scale(&mut factor, &|i, _| norms[i]);
-    Some(factor)
+    Ok(Some(factor))
 }
 
 /// The Frobenius norm of the difference, of the lower triangle of a symmetric matrix.
@@ -154,17 +158,18 @@ fn distance_to_identity(gram: &[f64], columns: usize) -> f64 {
 }
 
 /// `(C F)^T` of two lower triangles: of A = Q1 C^T and Q1 = Q F^T it is the R of A = Q R. Sums run over rows in order.
-fn triangle(coarse: &[f64], fine: &[f64], columns: usize) -> Vec<f64> {
+fn triangle(coarse: &[f64], fine: &[f64], columns: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
     let mut product = vec![0.0; columns * columns];
     for (j, (target, factors)) in
         product.chunks_exact_mut(columns).zip(fine.chunks_exact(columns)).enumerate()
     {
+        pool.proceed()?;
         for k in j..columns {
             let column = &coarse[k * columns + k..(k + 1) * columns];
             target[k..].iter_mut().zip(column).for_each(|(x, c)| *x += c * factors[k]);
         }
     }
-    (0..columns).flat_map(|i| product.iter().skip(i).step_by(columns)).copied().collect()
+    Ok((0..columns).flat_map(|i| product.iter().skip(i).step_by(columns)).copied().collect())
 }
 
 #[cfg(test)]

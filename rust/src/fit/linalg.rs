@@ -223,8 +223,20 @@ fn columns_of(a: MatRef<'_, f64>) -> Vec<f64> {
     a.col_iter().flat_map(|column| column.iter().copied().collect::<Vec<_>>()).collect()
 }
 
+/// Larger triangles take long enough to invert to be called off.
+const LONG_INVERSE: usize = 600;
+
 /// The Frobenius norm of the inverse of an upper triangular matrix; infinite for a zero on the diagonal.
-pub fn inverse_norm(r: &[f64], order: usize) -> f64 {
+pub fn inverse_norm(r: &[f64], order: usize, pool: &Pool<'_>) -> Result<f64, Error> {
+    if order < LONG_INVERSE {
+        Ok(norm_of_inverse(r, order))
+    } else {
+        let r = r.to_vec();
+        pool.aside(move || norm_of_inverse(&r, order))
+    }
+}
+
+fn norm_of_inverse(r: &[f64], order: usize) -> f64 {
     if (0..order).any(|j| r[j * order + j] == 0.0) {
         return f64::INFINITY;
     }

@@ -5,6 +5,9 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
+use crate::error::Error;
+use crate::pool::Pool;
+
 /// Rows of a panel.
 pub(crate) const PANEL: usize = 8;
 
@@ -28,9 +31,10 @@ pub(super) fn solve(lower: &[f64], order: usize, columns: usize, panels: &mut [L
 
 /// The Cholesky factor of a matrix of which the lower triangle is given, with zeros above; none at a pivot that is not
 /// positive.
-pub(super) fn cholesky(mut a: Vec<f64>, order: usize) -> Option<Vec<f64>> {
+pub(super) fn cholesky(mut a: Vec<f64>, order: usize, pool: &Pool<'_>) -> Result<Option<Vec<f64>>, Error> {
     let mut panel = vec![[0.0; PANEL]; order];
     for first in (0..order).step_by(PANEL) {
+        pool.proceed()?;
         let width = PANEL.min(order - first);
         for (k, lanes) in panel[..first + width].iter_mut().enumerate() {
             *lanes = std::array::from_fn(|lane| if lane < width { a[k * order + first + lane] } else { 0.0 });
@@ -45,7 +49,7 @@ pub(super) fn cholesky(mut a: Vec<f64>, order: usize) -> Option<Vec<f64>> {
         for k in 0..width {
             let square = own[k][k];
             if square.is_nan() || square <= 0.0 {
-                return None;
+                return Ok(None);
             }
             let pivot = square.sqrt();
             let column = own[k].map(|x| x / pivot);
@@ -63,7 +67,7 @@ pub(super) fn cholesky(mut a: Vec<f64>, order: usize) -> Option<Vec<f64>> {
     for (j, column) in a.chunks_exact_mut(order.max(1)).enumerate() {
         column[..j].fill(0.0);
     }
-    Some(a)
+    Ok(Some(a))
 }
 
 /// Columns of a Gram matrix that stay in the cache while all others pass by.
@@ -211,7 +215,13 @@ fn vectors<S: Simd, const V: usize>(lanes: &Lanes) -> [S::f64s; V] {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
+
+    fn factored(a: Vec<f64>, order: usize) -> Option<Vec<f64>> {
+        cholesky(a, order, &Pool::new(1, &AtomicBool::new(false))).unwrap()
+    }
 
     fn noise(count: usize) -> Vec<f64> {
         (0..count).map(|i| ((i * 7919 + i * i % 977) % 1000) as f64 / 500.0 - 1.0).collect()
@@ -250,7 +260,7 @@ mod tests {
         for order in [1, 2, 7, 8, 9, 16, 30] {
             let mut a = gram(&noise(64 * order), order);
             (0..order).for_each(|j| a[j * order + j] += 1.0);
-            let lower = cholesky(a.clone(), order).unwrap();
+            let lower = factored(a.clone(), order).unwrap();
             for j in 0..order {
                 for i in 0..order {
                     let sum: f64 = (0..=i.min(j)).map(|k| lower[k * order + i] * lower[k * order + j]).sum();
@@ -259,8 +269,8 @@ mod tests {
                 }
             }
         }
-        assert_eq!(cholesky(vec![4.0, 2.0, 0.0, 1.0], 2), None);
-        assert_eq!(cholesky(vec![f64::NAN], 1), None);
+        assert_eq!(factored(vec![4.0, 2.0, 0.0, 1.0], 2), None);
+        assert_eq!(factored(vec![f64::NAN], 1), None);
     }
 
     #[test]

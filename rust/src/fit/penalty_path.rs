@@ -200,8 +200,9 @@ fn scaled_rows(problem: &Problem<'_>, scales: &[f64], rows: Range<usize>) -> Vec
     rows.flat_map(scaled).collect()
 }
 
-/// Rows of a block of the basis.
+/// Rows of a block of the basis, and the multiply-adds that it takes at most, unless its rows are few.
 const BLOCK_ROWS: usize = 256;
+const BLOCK_COST: usize = 1 << 25;
 
 /// Columns of a block of solutions.
 const BLOCK_COLUMNS: usize = 64;
@@ -215,7 +216,8 @@ fn turned(
     pool: &Pool<'_>,
 ) -> Result<Vec<f64>, Error> {
     let mut out = vec![0.0; matrix.len().checked_div(inner).unwrap_or(0) * width];
-    let block = |width: usize| (BLOCK_ROWS * width).max(1);
+    let rows = (BLOCK_COST / (inner * width).max(1)).clamp(16, BLOCK_ROWS);
+    let block = |width: usize| (rows * width).max(1);
     let blocks = out.chunks_mut(block(width)).zip(matrix.chunks(block(inner)));
     pool.run(blocks, || (), |(), (out, rows)| linalg::rows_product(rows, turn, inner, width, out))?;
     Ok(out)

@@ -44,7 +44,7 @@ impl Spectrum {
         let tolerance = rows.max(columns) as f64 * f64::EPSILON;
         // 1 / ||R^-1|| is below the smallest singular value and sqrt(columns) above the largest, so most designs
         // pass without a decomposition.
-        let bound = if size == columns { linalg::inverse_norm(&r, columns).recip() } else { 0.0 };
+        let bound = if size == columns { linalg::inverse_norm(&r, columns, pool)?.recip() } else { 0.0 };
         let triangular = || Inverse::Triangle(stack_triangle(stack, height, columns));
         if bound > 2.0 * tolerance * (columns as f64).sqrt() {
             let inverse = triangular();

@@ -210,7 +210,7 @@ impl Refit {
         for (j, column) in r.chunks_exact_mut(rank).enumerate() {
             column[..=j].copy_from_slice(self.column(j, j + 1));
         }
-        if linalg::inverse_norm(&r, rank).recip() > 2.0 * factor.tolerance * (rank as f64).sqrt() {
+        if linalg::inverse_norm(&r, rank, pool)?.recip() > 2.0 * factor.tolerance * (rank as f64).sqrt() {
             return Ok(rank);
         }
         let values = linalg::thin_svd(r, rank, rank, pool)?.s;
