@@ -432,6 +432,13 @@ def test_a_slope_may_be_more_than_a_number_holds(lifting):
     assert not np.isfinite(slopes).any()
 
 
+def test_a_score_may_be_more_than_a_number_holds():
+    # Without the first row predictions are 1e12 times as large as the responses.
+    A, b = np.array([[1.0], [1e-12], [2e-12], [-1e-12]]), np.array([1e300, 1e300, -2e300, 1e300])
+    assert mx.LeastSquares(A, b).cross_validate(loo(4)).score == np.inf
+    assert mx.cross_validate_nested(A, b, [1], {"": loo(4)})[""] == np.inf
+
+
 def test_values_whose_model_would_overflow_are_refused():
     with pytest.raises(ValueError, match=r"^Invalid values\. The parameters of its model") as caught:
         surface(1e302 * VALUES, lifting="bspline", smoothing=[1e-30])
