@@ -425,6 +425,20 @@ def test_the_error_to_expect_may_be_more_than_a_number_holds():
     assert surface(1e300 * values, places).surface.error([[1e90, 0.0]]) == np.inf
 
 
+@pytest.mark.parametrize("lifting", ["tps", "affine", "bspline"])
+def test_a_slope_may_be_more_than_a_number_holds(lifting):
+    places = 1e-100 * POINTS
+    slopes = surface(1e250 * VALUES, places, lifting=lifting).surface.derivatives(places[:3])
+    assert not np.isfinite(slopes).any()
+
+
+def test_a_score_may_be_more_than_a_number_holds():
+    # Without the first row predictions are 1e12 times as large as the responses.
+    A, b = np.array([[1.0], [1e-12], [2e-12], [-1e-12]]), np.array([1e300, 1e300, -2e300, 1e300])
+    assert mx.LeastSquares(A, b).cross_validate(loo(4)).score == np.inf
+    assert mx.cross_validate_nested(A, b, [1], {"": loo(4)})[""] == np.inf
+
+
 def test_values_whose_model_would_overflow_are_refused():
     with pytest.raises(ValueError, match=r"^Invalid values\. The parameters of its model") as caught:
         surface(1e302 * VALUES, lifting="bspline", smoothing=[1e-30])

@@ -144,6 +144,35 @@ def test_columns_of_any_scale():
         check_fit(two, weighted(scaled, weight))
 
 
+@pytest.mark.parametrize("decades", [4, 8, 12])
+def test_soft_and_stiff_directions_keep_their_digits(decades):
+    # Where the stiffest direction is as stiff as the design is long, all others have the same cosine: one.
+    rng = np.random.default_rng(11)
+    problem = respond_to(rng.normal(size=(20, 6)), np.diag(np.logspace(0, decades, 6)))
+    scheme = mx.schemes.from_sets([[0], [3, 4], range(6)], n=20)
+    for weight in (1e-4, 1.0, 1e4):
+        fit, here = factorised(problem).fit(weight), weighted(problem, weight)
+        check_fit(fit, here)
+        check_predictions(fit, here, {"from_sets": scheme})
+
+
+@pytest.mark.parametrize("gap", [1.0, 1e-2, 1e-4, 1e-6])
+def test_a_loss_of_rank_is_seen_where_the_design_lacks_rank(gap):
+    # Two columns differ in rows that are held out, and the penalty sees neither; what it sees, the design does not.
+    rng = np.random.default_rng(12)
+    A = rng.normal(size=(20, 6))
+    A[:, 5], A[:, 0] = A[:, 2] + A[:, 3], A[:, 1]
+    A[:2, 0] += gap * rng.normal(size=2)
+    path = factorised(respond_to(A, np.eye(6)[5:]))
+    assert (path.determined, path.rank) == (True, 5)
+    scheme = mx.schemes.from_sets([[0, 1]], n=20)
+    for weight in (1e-4, 1.0, 1e4):
+        model = path.fit(weight).model
+        with pytest.warns(mx.RankLossWarning):
+            assert np.isnan(model.held_out_residuals([0, 1])).all()
+        assert np.isnan(model.prediction_spread(scheme)[0]).all()
+
+
 def exact_residuals(problem, weight, held):
     """Residuals of held-out rows by a refit in rational numbers."""
     rows = [[Fraction(x) for x in row] for row in problem.A.tolist()]

@@ -145,6 +145,7 @@ class Nested:
             return float(len(data))
         return float(self._row_weights[rows.indices[rows.offsets[data]]].sum())
 
+    @np.errstate(over="ignore")
     def _rms(self, squares: Floats, total: float) -> Floats:
         if total == 0:
             return np.full(len(squares), np.nan)

@@ -92,6 +92,7 @@ class ThinPlateSpline(Lifting):
         """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
         return _core.spline_values(*self._sums(points, parameters))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
         """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
         slopes = _core.spline_slopes(*self._sums(points, parameters)) / self._scale

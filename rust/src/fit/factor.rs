@@ -99,7 +99,7 @@ pub struct Factor {
 
 /// Coordinates in which the rows of a problem have full rank.
 enum Coordinates {
-    /// Those of all columns.
+    /// Those of all columns; of more than the rank, if the penalty alone sees some directions.
     Columns,
     /// Those of columns that span them all, where some depend on the others.
     Spanning(Vec<usize>),
@@ -140,9 +140,9 @@ impl Factor {
         Ok(factor)
     }
 
-    /// Fits a problem of which a basis, `rank` wide, and the responses' projection are known: its coefficients are those of the basis. A basis is orthonormal
-    /// to rounding, which rows of zeros lose: pairs close to rank loss go back to the problem's columns, if these are as
-    /// many and there are scales that bring them to unit length, else to the basis.
+    /// Fits a problem of which a basis, `rank` wide, and the responses' projection are known: its coefficients are those of
+    /// the basis. A basis is orthonormal to rounding, which rows of zeros lose: pairs close to rank loss go back to the
+    /// problem's columns, if there are scales that bring them to unit length, else to the basis.
     pub(super) fn orthonormal(
         problem: &Problem<'_>,
         (basis, rank): (Vec<f64>, usize),
@@ -219,6 +219,14 @@ impl Factor {
         &self.residuals[i * self.responses..(i + 1) * self.responses]
     }
 
+    /// How many coordinates a row has in `full_rank_row`.
+    pub(crate) fn coordinates(&self) -> usize {
+        match self.coordinates {
+            Coordinates::Columns => self.scales.len(),
+            _ => self.rank,
+        }
+    }
+
     /// Row `i` of the problem in coordinates in which it has full rank, then its right-hand side. Those of A are the
     /// best: the basis is good to rounding of the largest entries only, which small training rows feel.
     pub(crate) fn full_rank_row(
@@ -230,7 +238,7 @@ impl Factor {
         if self.fingerprints.get(i).is_some_and(|&print| print != problem.fingerprint(i, self.responses)) {
             return Err(Error::Changed { row: i });
         }
-        let (left, right) = out.split_at_mut(self.rank);
+        let (left, right) = out.split_at_mut(self.coordinates());
         match &self.coordinates {
             Coordinates::Columns => {
                 let (row, weight) = problem.row(i);

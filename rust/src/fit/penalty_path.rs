@@ -3,7 +3,8 @@
 //! With `W^1/2 A = Q T` and `[T; v Z] = [Q_T; Q_Z] R` for some v, and the singular value decomposition `Q_T = U C V^T`, the
 //! columns of `Q_Z V` are orthogonal with lengths S, and `C^2 + S^2 = I`. At any weight w, the rows of the design in an
 //! orthonormal basis of `[W^1/2 A; sqrt(w) Z]` are `Q U D`, up to a rotation that does not change the hat matrix, with
-//! `D = C (C^2 + (w / v^2) S^2)^(-1/2)`. Cosines and sines are lengths of different rows: both keep their digits near zero.
+//! `D = C (C^2 + (w / v^2) S^2)^(-1/2)`. Cosines and sines are lengths of different rows, and where cosines are near one the
+//! directions are those of the sines: both keep their digits near zero.
 
 use std::ops::Range;
 
@@ -17,8 +18,10 @@ use crate::pool::Pool;
 
 /// A problem, factorised once for all weights of its penalty.
 pub struct PenaltyPath {
-    /// Whether design and penalty together determine the coefficients.
-    pub determined: bool,
+    /// The v of the common factorisation, and a lower bound on the smallest singular value of `[W^1/2 A; v Z]` with columns
+    /// at unit length; 0 without full rank.
+    unit: f64,
+    least: f64,
     /// Q U, rows x directions, row-major. Directions that the design does not see have coefficient zero at any weight, and
     /// are omitted.
     left: Vec<f64>,
@@ -60,9 +63,9 @@ impl PenaltyPath {
         let penalty = scaled_rows(problem, &scales, rows..problem.total_rows());
         let lengths = column_lengths(&triangle, width).into_iter().zip(column_lengths(&penalty, width));
         let column = |((design, penalty), &scale): ((f64, f64), &f64)| Column { scale, design, penalty };
-        let columns = lengths.zip(&scales).map(column).collect();
-        let Common { determined, turn, cosines, sines, mut back } =
-            Common::new(&triangle, &penalty, width, pool)?;
+        let columns: Vec<Column> = lengths.zip(&scales).map(column).collect();
+        let Common { unit, least, turn, cosines, sines, mut back } =
+            Common::new(&triangle, &penalty, &columns, pool)?;
         scale_rows(&mut back, &scales);
         let left = match basis {
             Some(basis) => turned(&basis, &turn, triangle.len() / width, cosines.len(), pool)?,
@@ -70,7 +73,12 @@ impl PenaltyPath {
         };
         let responses = (weighted_responses(&design, responses), responses);
         let projection = Residuals::new(responses, (&left, cosines.len()), None, pool)?.projection;
-        Ok(Self { determined, left, projection, cosines, sines, back, columns, fingerprints })
+        Ok(Self { unit, least, left, projection, cosines, sines, back, columns, fingerprints })
+    }
+
+    /// Whether design and penalty together determine the coefficients.
+    pub fn determined(&self) -> bool {
+        self.least > 0.0
     }
 
     /// Rank of the design alone.
@@ -94,7 +102,8 @@ impl PenaltyPath {
         let mut basis = self.basis(&shares, pool)?;
         let penalty = basis[self.left.len()..].iter_mut().step_by(rank + 1);
         penalty.zip(&self.sines).zip(&lengths).for_each(|((x, s), length)| *x = root * s / length);
-        let whole = rank == problem.columns;
+        // Rows of the problem tell rank from its loss, those of the basis only where no cosine is small.
+        let whole = rank == problem.columns || self.full_rank_beyond_doubt(problem, root);
         let scales = whole.then(|| self.columns.iter().map(|column| column.unit(root)).collect());
         let mut fingerprints = self.fingerprints.clone();
         if whole {
@@ -109,6 +118,14 @@ impl PenaltyPath {
         scale_rows(&mut along, &inverses);
         let coefficients = linalg::product(&self.back, &along, problem.columns, rank, responses);
         Ok((factor, coefficients))
+    }
+
+    /// Whether design and penalty together are of full rank to rounding at a weight, given its root: their smallest singular
+    /// value, columns at unit length, falls at most by the ratio of the roots.
+    fn full_rank_beyond_doubt(&self, problem: &Problem<'_>, root: f64) -> bool {
+        let ratio = root / self.unit;
+        let tolerance = problem.total_rows().max(problem.columns) as f64 * f64::EPSILON;
+        self.least * ratio.min(ratio.recip()) > 2.0 * tolerance * (problem.columns as f64).sqrt()
     }
 
     /// `Q U D`, and rows of zeros for the penalty, as many as there are directions.
@@ -139,7 +156,10 @@ impl Column {
 
 /// The decomposition of what T, a design or its triangle, and a penalty Z have in common.
 struct Common {
-    determined: bool,
+    /// What the penalty was multiplied by.
+    unit: f64,
+    /// A lower bound on the smallest singular value of both together, columns at unit length; 0 without full rank.
+    least: f64,
     /// U, column-major.
     turn: Vec<f64>,
     cosines: Vec<f64>,
@@ -148,9 +168,8 @@ struct Common {
 }
 
 impl Common {
-    fn new(triangle: &[f64], penalty: &[f64], columns: usize, pool: &Pool<'_>) -> Result<Self, Error> {
-        let ratio = norm(triangle) / norm(penalty);
-        let unit = if ratio.is_normal() { ratio } else { 1.0 };
+    fn new(triangle: &[f64], penalty: &[f64], columns: &[Column], pool: &Pool<'_>) -> Result<Self, Error> {
+        let (unit, columns) = (balance(columns), columns.len());
         let rows = triangle.len() / columns;
         let stacked: Vec<f64> = triangle.iter().copied().chain(penalty.iter().map(|z| unit * z)).collect();
         let total = stacked.len() / columns;
@@ -166,8 +185,9 @@ impl Common {
         let (basis, spectrum) = householder::orthonormal(&problem, &vec![1.0; columns], pool)?;
         let width = spectrum.rank;
         let (above, below) = basis.split_at(rows * width);
-        let Svd { u: mut turn, s: mut cosines, v: mut right } =
-            linalg::thin_svd(linalg::transposed(above, width), rows, width, pool)?;
+        let mut svd = linalg::thin_svd(linalg::transposed(above, width), rows, width, pool)?;
+        separate(&mut svd, below, (rows, width), pool)?;
+        let Svd { u: mut turn, s: mut cosines, v: mut right } = svd;
         // Rounding, times the root of an extreme weight, would penalise directions without bending energy, and would pass
         // for rank.
         let rounding = (total + columns) as f64 * f64::EPSILON;
@@ -184,8 +204,51 @@ impl Common {
             || (),
             |(), (part, right)| part.copy_from_slice(&spectrum.solve(right, right.len() / width)),
         )?;
-        Ok(Self { determined: width == columns, turn, cosines, sines, back })
+        let least = if width == columns { spectrum.least } else { 0.0 };
+        Ok(Self { unit, least, turn, cosines, sines, back })
     }
+}
+
+/// Cosines near one do not tell their directions apart, since sines that differ by decades have the same: the directions
+/// of `Q_T` whose sines are small are turned until their rows of the penalty, `below`, are orthogonal.
+fn separate(
+    svd: &mut Svd,
+    below: &[f64],
+    (rows, width): (usize, usize),
+    pool: &Pool<'_>,
+) -> Result<(), Error> {
+    let Svd { u, s, v } = svd;
+    let soft = s.partition_point(|&c| 1.0 - c * c < SMALL_SINE * SMALL_SINE);
+    let mut bent = turned(below, &v[..width * soft], width, soft, pool)?;
+    // Directions without bending have a singular vector, too.
+    let height = soft.max(below.len().checked_div(width).unwrap_or(0));
+    bent.resize(height * soft, 0.0);
+    let turn = linalg::thin_svd(linalg::transposed(&bent, soft), height, soft, pool)?.v;
+    let right = linalg::product(&v[..width * soft], &turn, width, soft, soft);
+    v[..width * soft].copy_from_slice(&right);
+    for (column, cosine) in u.chunks_exact_mut(rows.max(1)).zip(&s[..soft]) {
+        column.iter_mut().for_each(|x| *x *= cosine);
+    }
+    let left = linalg::product(&u[..rows * soft], &turn, rows, soft, soft);
+    for ((to, from), cosine) in u.chunks_exact_mut(rows.max(1)).zip(left.chunks_exact(rows.max(1))).zip(s) {
+        *cosine = linalg::dot(from, from).sqrt();
+        to.iter_mut().zip(from).for_each(|(to, x)| *to = x / *cosine);
+    }
+    Ok(())
+}
+
+/// A sine above this has lost less than a digit to the cosine.
+const SMALL_SINE: f64 = 0.1;
+
+/// A power of two by which columns of the penalty become about as long as those of the design, in the geometric mean: what
+/// is soft and what is stiff then lose the same digits, and units of columns do not matter.
+fn balance(columns: &[Column]) -> f64 {
+    let ratios =
+        columns.iter().map(|column| column.design / column.penalty).filter(|ratio| ratio.is_normal());
+    let logarithms: Vec<f64> = ratios.map(f64::log2).collect();
+    let mean = logarithms.iter().sum::<f64>() / logarithms.len().max(1) as f64;
+    // Entries of other columns must not overflow.
+    mean.round().clamp(-400.0, 400.0).exp2()
 }
 
 /// Designs of more rows than this times their columns are reduced to a triangle first.
@@ -237,10 +300,6 @@ fn column_lengths(matrix: &[f64], columns: usize) -> Vec<f64> {
         squares.iter_mut().zip(row).for_each(|(square, x)| *square += x * x);
     }
     squares.into_iter().map(f64::sqrt).collect()
-}
-
-fn norm(matrix: &[f64]) -> f64 {
-    linalg::dot(matrix, matrix).sqrt()
 }
 
 #[cfg(test)]
@@ -310,7 +369,7 @@ mod tests {
         {
             let made = Made::new(rows, columns, penalties, dependent);
             let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
-            assert!(path.determined);
+            assert!(path.determined());
             assert_eq!(path.rank(), rank);
             for weight in [1e-3, 1.0, 1e6] {
                 let penalty = made.weighted(weight);
@@ -351,7 +410,7 @@ mod tests {
         let mut made = Made::new(20, 4, 5, false);
         made.design.fill(0.0);
         let path = PenaltyPath::new(&made.problem(&made.penalty), &pool).unwrap();
-        assert!(path.determined);
+        assert!(path.determined());
         let (factor, coefficients) = path.fit(&made.problem(&made.penalty), 1.0, &pool).unwrap();
         assert_eq!((factor.rank, coefficients), (0, vec![0.0; 4 * RESPONSES]));
         assert_eq!(factor.leverage, vec![0.0; 20]);
@@ -362,6 +421,6 @@ mod tests {
         let never = AtomicBool::new(false);
         let made = Made::new(20, 6, 0, true);
         let path = PenaltyPath::new(&made.problem(&made.penalty), &Pool::new(1, &never)).unwrap();
-        assert_eq!((path.determined, path.rank()), (false, 5));
+        assert_eq!((path.determined(), path.rank()), (false, 5));
     }
 }

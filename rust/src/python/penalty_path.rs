@@ -31,7 +31,7 @@ impl PenaltyPath {
 
     #[getter]
     fn determined(&self) -> bool {
-        self.path.determined
+        self.path.determined()
     }
 
     #[getter]

@@ -36,7 +36,7 @@ impl Refit {
         rows: &[usize],
     ) -> Result<bool, Error> {
         self.reduce(factor, problem, pool, rows)?;
-        let defined = self.rank(factor, pool)? == factor.rank;
+        let defined = self.rank(factor, pool)? == factor.coordinates();
         if defined {
             self.solve(factor);
         }
@@ -51,10 +51,11 @@ impl Refit {
         rows: &[usize],
         out: &mut [f64],
     ) -> Result<(), Error> {
+        let order = factor.coordinates();
         for (e, &row) in out.chunks_exact_mut(factor.responses).zip(rows) {
             factor.full_rank_row(problem, row, &mut self.row)?;
-            let (left, right) = self.row.split_at(factor.rank);
-            for ((e, b), change) in e.iter_mut().zip(right).zip(self.change.chunks_exact(factor.rank)) {
+            let (left, right) = self.row.split_at(order);
+            for ((e, b), change) in e.iter_mut().zip(right).zip(self.change.chunks_exact(order)) {
                 *e = b - dot(left, change);
             }
         }
@@ -72,16 +73,17 @@ impl Refit {
         out: &mut [f64],
     ) -> Result<(), Error> {
         self.reduce(factor, problem, pool, rows)?;
-        if self.rank(factor, pool)? < factor.rank {
+        let order = factor.coordinates();
+        if self.rank(factor, pool)? < order {
             out.fill(f64::NAN);
             return Ok(());
         }
-        let mut solves = Vec::with_capacity(validated * factor.rank);
+        let mut solves = Vec::with_capacity(validated * order);
         for &row in &rows[..validated] {
-            self.forward(factor, problem, row, factor.rank)?;
-            solves.extend_from_slice(&self.row[..factor.rank]);
+            self.forward(factor, problem, row, order)?;
+            solves.extend_from_slice(&self.row[..order]);
         }
-        let solve = |i: usize| &solves[i * factor.rank..(i + 1) * factor.rank];
+        let solve = |i: usize| &solves[i * order..(i + 1) * order];
         for i in 0..validated {
             for j in 0..=i {
                 let c = dot(solve(i), solve(j)) + if i == j { 1.0 } else { 0.0 };
@@ -93,13 +95,13 @@ impl Refit {
 
     /// Coefficients of the training rows, from their triangle.
     fn solve(&mut self, factor: &Factor) {
-        let (rank, responses) = (factor.rank, factor.responses);
-        self.change.resize(rank * responses, 0.0);
-        for (c, change) in self.change.chunks_exact_mut(rank).enumerate() {
-            let column = (rank + c) * self.height;
-            change.copy_from_slice(&self.block[column..column + rank]);
+        let (order, responses) = (factor.coordinates(), factor.responses);
+        self.change.resize(order * responses, 0.0);
+        for (c, change) in self.change.chunks_exact_mut(order).enumerate() {
+            let column = (order + c) * self.height;
+            change.copy_from_slice(&self.block[column..column + order]);
         }
-        linalg::solve_upper(&self.block, self.height, rank, &mut self.change, responses);
+        linalg::solve_upper(&self.block, self.height, order, &mut self.change, responses);
     }
 
     /// Reduces the training rows of a design of full rank, and tells how many of its leading columns they determine.
@@ -124,7 +126,7 @@ impl Refit {
         pool: &Pool<'_>,
         rows: &[usize],
     ) -> Result<(), Error> {
-        let width = factor.rank + factor.responses;
+        let width = factor.coordinates() + factor.responses;
         self.held.resize(factor.problem_rows(), false);
         self.row.resize(width, 0.0);
         self.height = (self.held.len() - rows.len()).clamp(width, width + REDUCED_ROWS);
@@ -205,15 +207,15 @@ impl Refit {
 
     /// Rank of the training rows, the design's columns at unit length.
     fn rank(&self, factor: &Factor, pool: &Pool<'_>) -> Result<usize, Error> {
-        let rank = factor.rank;
-        let mut r = vec![0.0; rank * rank];
-        for (j, column) in r.chunks_exact_mut(rank).enumerate() {
+        let order = factor.coordinates();
+        let mut r = vec![0.0; order * order];
+        for (j, column) in r.chunks_exact_mut(order).enumerate() {
             column[..=j].copy_from_slice(self.column(j, j + 1));
         }
-        if linalg::inverse_norm(&r, rank, pool)?.recip() > 2.0 * factor.tolerance * (rank as f64).sqrt() {
-            return Ok(rank);
+        if linalg::inverse_norm(&r, order, pool)?.recip() > 2.0 * factor.tolerance * (order as f64).sqrt() {
+            return Ok(order);
         }
-        let values = linalg::thin_svd(r, rank, rank, pool)?.s;
+        let values = linalg::thin_svd(r, order, order, pool)?.s;
         Ok(numerical_rank(&values, factor.tolerance))
     }
 }
