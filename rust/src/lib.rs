@@ -107,3 +107,5 @@ pub mod pool;
 #[cfg(feature = "python")]
 mod python;
 pub mod sets;
+#[cfg(test)]
+mod testing;
