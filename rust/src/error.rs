@@ -73,3 +73,17 @@ impl fmt::Display for Error {
 }
 
 impl std::error::Error for Error {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_say_the_numbers() {
+        let length = Error::Length { expected: 12, given: 7 }.to_string();
+        assert!(length.contains("12") && length.contains('7'));
+        let line = Error::Collinear { first: [4, 8, 15] }.to_string();
+        assert!(["4", "8", "15"].iter().all(|index| line.contains(index)));
+        assert_eq!(Error::Changed { row: 3 }.to_string(), "row 3 has changed since the factorisation");
+    }
+}
