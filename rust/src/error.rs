@@ -53,6 +53,8 @@ pub enum Error {
     },
     /// A singular value decomposition did not converge.
     NoConvergence,
+    /// Control points are so near each other that their splines are not determined.
+    TooNear,
 }
 
 impl fmt::Display for Error {
@@ -67,6 +69,7 @@ impl fmt::Display for Error {
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
             Self::Changed { row } => write!(f, "row {row} has changed since the factorisation"),
             Self::Collinear { first: [a, b, c] } => write!(f, "points {a}, {b} and {c} are on a line"),
+            Self::TooNear => write!(f, "control points are too near each other"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }
     }
