@@ -104,11 +104,6 @@ mod tests {
         assert!(!increase(&[&[0], &[2, 1]], 9), "they fall");
         assert!(increase(&[], 0));
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
 
     #[test]
     fn sets_are_what_they_were_made_of() {

@@ -26,17 +26,17 @@ pub(crate) fn noise(count: usize, seed: u64) -> Vec<f64> {
     (0..count).map(|_| next()).collect()
 }
 
-pub(crate) fn sets<const N: usize>(sets: [&[usize]; N]) -> Sets {
+pub(crate) fn sets<const N: usize>(sets: [&[usize]; N]) -> Sets<'static> {
     sets.into_iter().map(<[usize]>::to_vec).collect()
 }
 
 /// Each of `count` data alone.
-pub(crate) fn singletons(count: usize) -> Sets {
+pub(crate) fn singletons(count: usize) -> Sets<'static> {
     (0..count).map(|i| vec![i]).collect()
 }
 
 /// Around each of `count` data on a line, those within a distance: balls that nest.
-pub(crate) fn windows(count: usize, reach: usize) -> Sets {
+pub(crate) fn windows(count: usize, reach: usize) -> Sets<'static> {
     (0..count).map(|i| (i.saturating_sub(reach)..count.min(i + reach + 1)).collect()).collect()
 }
 

@@ -233,7 +233,7 @@ except KeyboardInterrupt:
 
 
 @posix
-@pytest.mark.parametrize("call", ["largest, points", "hilbert_order, points, 1"])
+@pytest.mark.parametrize("call", ["largest, points.ravel()", "hilbert_order, points, 1"])
 def test_ctrl_c_at_the_first_call_of_the_core(call):
     command = [sys.executable, "-c", FIRST_CALL.format(call=call)]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "interrupted\n"

@@ -199,7 +199,7 @@ pub(super) mod tests {
     use crate::sets::Sets;
     use crate::testing::{Example, assert_close, bits, pool, sets, singletons, windows};
 
-    type Pairs<'a> = (&'a Sets, &'a Sets, Option<&'a [usize]>);
+    type Pairs<'a> = (&'a Sets<'a>, &'a Sets<'a>, Option<&'a [usize]>);
 
     pub(crate) fn curves(example: &Example, pairs: &[Pairs<'_>], threads: usize) -> Vec<Curve> {
         let schemes: Vec<Scheme<'_>> = pairs

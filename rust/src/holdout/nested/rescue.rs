@@ -208,7 +208,7 @@ mod tests {
         for (fraction, tolerance) in [(1e-3, 1e-10), (1e-5, 1e-10), (1e-8, 1e-7)] {
             let example = Example::nearly_lost(40, 5, fraction);
             let found = &curves(&example, &[(&held, &validated, None)], 1)[0];
-            let mut expected = vec![0.0; 5];
+            let mut expected = [0.0; 5];
             for pair in 0..5 {
                 let curve = refitted(&example, held.get(pair), validated.get(pair));
                 expected.iter_mut().zip(curve).for_each(|(sum, x)| *sum += x);
