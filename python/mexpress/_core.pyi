@@ -19,8 +19,10 @@ __all__ = [
     "Nested",
     "PenaltyPath",
     "are_sets",
+    "cardinal_splines",
     "hilbert_order",
     "largest",
+    "leading_bending",
     "lloyd",
     "neighbours_delaunay",
     "neighbours_matched",
@@ -28,6 +30,8 @@ __all__ = [
     "neighbours_within",
     "place_by_residual",
     "preimages",
+    "product",
+    "reduced_bending",
     "spline_slopes",
     "spline_values",
     "spread",
@@ -98,6 +102,10 @@ class PenaltyPath:
 
 def are_sets(offsets: _Indices, items: _Indices, bound: int) -> bool: ...
 def largest(values: _Floats) -> float: ...
+def cardinal_splines(kernels: _Floats, affine: _Floats) -> tuple[_Floats, _Floats]: ...
+def leading_bending(kernels: _Floats, weights: _Floats) -> _Floats: ...
+def reduced_bending(rows: _Floats, affine: _Floats) -> _Floats: ...
+def product(a: _Floats, b: _Floats) -> _Floats: ...
 def hilbert_order(points: _Floats, threads: int) -> _Integers: ...
 def neighbours_within(points: _Floats, radius: float, threads: int) -> _Sets: ...
 def neighbours_nearest(points: _Floats, k: int, threads: int) -> _Sets: ...

@@ -53,6 +53,8 @@ pub enum Error {
     },
     /// A singular value decomposition did not converge.
     NoConvergence,
+    /// Control points are so near each other that their splines are not determined.
+    TooNear,
 }
 
 impl fmt::Display for Error {
@@ -67,9 +69,24 @@ impl fmt::Display for Error {
             Self::Dimension { given } => write!(f, "points have {given} coordinates"),
             Self::Changed { row } => write!(f, "row {row} has changed since the factorisation"),
             Self::Collinear { first: [a, b, c] } => write!(f, "points {a}, {b} and {c} are on a line"),
+            Self::TooNear => write!(f, "control points are too near each other"),
             Self::NoConvergence => write!(f, "the singular value decomposition did not converge"),
         }
     }
 }
 
 impl std::error::Error for Error {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_say_the_numbers() {
+        let length = Error::Length { expected: 12, given: 7 }.to_string();
+        assert!(length.contains("12") && length.contains('7'));
+        let line = Error::Collinear { first: [4, 8, 15] }.to_string();
+        assert!(["4", "8", "15"].iter().all(|index| line.contains(index)));
+        assert_eq!(Error::Changed { row: 3 }.to_string(), "row 3 has changed since the factorisation");
+    }
+}

@@ -32,6 +32,7 @@
 //! | `fit::cholesky_qr`, `fit::panels` | the basis of a well-conditioned design, by products of matrices |
 //! | `fit::householder` | the basis of any design, by blocked reflections |
 //! | `fit::rank` | rank, and coefficients from the triangle |
+//! | [`fit::bending`] | the splines that bend least, and rows of bending energies |
 //! | [`fit::penalty_path`] | one penalised design at every weight of its penalty |
 //! | [`fit::linalg`] | dense factorisations; the only file that names faer |
 //! | [`holdout::scheme`] | what is held out and validated: plain data |
@@ -107,3 +108,5 @@ pub mod pool;
 #[cfg(feature = "python")]
 mod python;
 pub mod sets;
+#[cfg(test)]
+mod testing;

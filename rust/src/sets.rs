@@ -104,4 +104,17 @@ mod tests {
         assert!(!increase(&[&[0], &[2, 1]], 9), "they fall");
         assert!(increase(&[], 0));
     }
+
+    #[test]
+    fn sets_are_what_they_were_made_of() {
+        let lists = [vec![5, 1], vec![], vec![0, 2, 9], vec![]];
+        let sets: Sets = lists.clone().into_iter().collect();
+        assert_eq!((sets.len(), sets.is_empty()), (4, false));
+        assert!((0..4).all(|s| sets.get(s) == lists[s]));
+        assert_eq!((sets.total(&[0, 2, 2]), sets.total(&[])), (8, 0));
+        let nothing: Sets = [].into_iter().collect();
+        assert_eq!((nothing.len(), nothing.is_empty()), (0, true));
+        // The same members in other sets are other sets.
+        assert_ne!(sets, [vec![5], vec![1], vec![0, 2, 9], vec![]].into_iter().collect());
+    }
 }

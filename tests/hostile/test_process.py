@@ -179,7 +179,65 @@ def test_a_strange_variable_is_no_error(monkeypatch, value):
     assert mx.LeastSquares(np.ones((3, 1)), np.arange(3.0)).rank == 1
 
 
+# ------------------------------------------------------------------------------------------- threads of NumPy's BLAS
+
+# Criterion FIT selects the most control points: all of the linear algebra is large.
+SELECTIONS = {
+    "a warp": "mx.select_warp(source, target, threads=2)",
+    "a warp of many points": "mx.select_warp(source, target, 'FIT', counts=[5, 120], smoothing=0, threads=2)",
+    "a warp of B-splines": "mx.select_warp(source, target, lifting='bspline', counts=[144], threads=2)",
+    "a surface": "mx.select_surface(source, depth, threads=2)",
+    "a map of weights": "mx.select_surface(source, depth, 'ER5', max_count=120, smoothing=[0.1, 1], threads=2)",
+}
+
+DIGESTS = """
+import hashlib
+import numpy as np
+import mexpress as mx
+rng = np.random.default_rng(0)
+source = rng.uniform(0, 1000, (400, 2))
+target = 1.1 * source + 30 * np.sin(source / 150) + rng.normal(size=(400, 2))
+depth = target[:, 0] - source[:, 0]
+found = {selection}
+model = found.warp if hasattr(found, "warp") else found.surface
+print(hashlib.sha256(b"".join(x.tobytes() for x in (model.parameters, *found.curves.values()))).hexdigest())
+"""
+
+
+@pytest.mark.parametrize("what", SELECTIONS)
+def test_no_bit_depends_on_the_threads_of_blas(what):
+    def digest(threads):
+        names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+        environment = {**os.environ, **dict.fromkeys(names, str(threads))}
+        command = [sys.executable, "-c", DIGESTS.format(selection=SELECTIONS[what])]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert digest(1) == digest(2)
+
+
 # ------------------------------------------------------------------------------------------------------ Ctrl-C
+
+FIRST_CALL = """
+import ctypes, functools, operator, signal
+import numpy as np
+from mexpress import _core
+points = np.arange(12.0).reshape(6, 2)
+# No bytecode runs between the two calls: the signal waits when the core is entered for the first time.
+interrupt = functools.partial(ctypes.CDLL(None)["raise"], signal.SIGINT)
+call = functools.partial(_core.{call})
+try:
+    list(map(operator.call, (interrupt, call)))
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@posix
+@pytest.mark.parametrize("call", ["largest, points.ravel()", "hilbert_order, points, 1"])
+def test_ctrl_c_at_the_first_call_of_the_core(call):
+    command = [sys.executable, "-c", FIRST_CALL.format(call=call)]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "interrupted\n"
+
 
 SURFACE = """
         from mexpress.criteria import Scorer

@@ -91,10 +91,9 @@ class BSpline(LocalLifting):
         )
         i, j = np.tile(np.arange(x.number), y.number), np.repeat(np.arange(y.number), x.number)
         affine = np.column_stack([np.ones(len(i)), i - i.mean(), j - j.mean()])
-        # The complement of the affine functions, so that rounding does not bend them.
-        side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
         bending = np.empty((len(i) - 3, len(i)))
-        bending[:, order.ravel()] = np.linalg.qr(rows @ side).R @ side.T / np.sqrt(8 * np.pi)
+        # On the complement of the affine functions, so that rounding does not bend them.
+        bending[:, order.ravel()] = _core.reduced_bending(rows, affine) / np.sqrt(8 * np.pi)
         return bending
 
     @classmethod

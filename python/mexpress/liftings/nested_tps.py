@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.geometry import NEAR_LINE, thinness
@@ -57,10 +58,8 @@ class NestedSplines:
         """Return the rows of `nested_bending`, (l - 3, l)."""
         count = len(self._centres)
         weights = np.vstack([-self._shares[3:].T, np.eye(count - 3)])
-        side, triangle = np.linalg.qr(weights)
-        factor = np.linalg.cholesky(side.T @ kernel(self._centres, self._centres) @ side)
         rows = np.zeros((count - 3, count))
-        rows[:, 3:] = factor.T @ triangle / self._scale
+        rows[:, 3:] = _core.leading_bending(kernel(self._centres, self._centres), weights) / self._scale
         return rows
 
     def _barycentric(self, points: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """Thin-plate splines: the smoothest functions with given values at scattered control points."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +11,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region
-from mexpress.liftings.lifting import Lifting, blocks, register
+from mexpress.liftings.lifting import Lifting, register
 from mexpress.placement import lloyd
 
 
@@ -48,13 +49,9 @@ class ThinPlateSpline(Lifting):
         """Return the l cardinal functions at n points, (n, l): 1 at one control point, 0 at the others."""
         return self.at(check.points(points, "points"))
 
-    @np.errstate(over="ignore", invalid="ignore")
     def at(self, points: Floats) -> Floats:
         """Return the basis at checked points, (n, l)."""
-        basis = np.empty((len(points), len(self.control_points)))
-        for rows in blocks(len(points), len(self.control_points)):
-            basis[rows] = self._terms(points[rows]) @ self._solution[0]
-        return basis
+        return self._splines(_core.spline_values, points, self._solution[0])
 
     @classmethod
     def place_over(cls, region: Region, count: int, seed: int = 0, threads: int | None = None) -> Floats:
@@ -90,33 +87,23 @@ class ThinPlateSpline(Lifting):
 
     def values(self, points: Floats, parameters: Floats) -> Floats:
         """Return nu(q_i) . x for every column x of the parameters, (n, r)."""
-        return _core.spline_values(*self._sums(points, parameters))
+        return self._splines(_core.spline_values, points, self._weights(parameters))
 
     @np.errstate(over="ignore", invalid="ignore")
     def slopes(self, points: Floats, parameters: Floats) -> Floats:
         """Return the derivatives of nu(q) . x along x and y, for every column x of the parameters, (n, r, 2)."""
-        slopes = _core.spline_slopes(*self._sums(points, parameters)) / self._scale
+        slopes = self._splines(_core.spline_slopes, points, self._weights(parameters)) / self._scale
         return np.asarray(slopes.reshape(len(points), parameters.shape[1], 2))
 
-    @np.errstate(over="ignore", invalid="ignore")
-    def _sums(self, points: Floats, parameters: Floats) -> tuple[Floats, Floats, Floats, int]:
-        """Return what the core sums: points, centres, the weights of their terms (l + 3, r), and threads."""
-        weights = self._solution[0] @ parameters
-        return (
-            self._normalised(points),
-            self._normalised(self.control_points),
-            weights,
-            check.threads(None),
-        )
+    def _weights(self, parameters: Floats) -> Floats:
+        """Return the weights of the terms, (l + 3, r)."""
+        return _core.product(self._solution[0], np.ascontiguousarray(parameters))
 
-    def _terms(self, points: Floats) -> Floats:
-        """Return phi(|q - c_k|), x, y and 1 at n points, in normalised coordinates, (n, l + 3)."""
-        here, centres = self._normalised(points), self._normalised(self.control_points)
-        terms = np.empty((len(points), len(centres) + 3))
-        terms[:, :-3] = kernel(here, centres)
-        terms[:, -3:-1] = here
-        terms[:, -1] = 1
-        return terms
+    def _splines(self, evaluate: Callable[..., Floats], points: Floats, weights: Floats) -> Floats:
+        """Have the core sum the terms phi(|q - c_k|), x, y and 1 at points, in normalised coordinates."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.ascontiguousarray(self._normalised(points))
+        return evaluate(points, self._normalised(self.control_points), weights, check.threads(None))
 
     @cached_property
     def _centre(self) -> Floats:
@@ -136,16 +123,11 @@ class ThinPlateSpline(Lifting):
         """Return weights w and affine parts a of the cardinal functions, (l + 3, l), and the bending rows.
 
         For an orthonormal basis U of {w : sum_k w_k (1, c_k) = 0}, G = U^T K U is positive definite, w = E x with
-        E = U G^-1 U^T, and the affine part interpolates the remainder of K w: a = P^+ (x - K E x).
+        E = U G^-1 U^T, and the affine part interpolates the remainder of K w: a = P^+ (x - K E x). By the core, whose
+        results do not depend on the threads of NumPy's BLAS.
         """
-        terms = self._terms(self.control_points)
-        kernels, affine = terms[:, :-3], terms[:, -3:]
-        side = np.linalg.qr(affine, mode="complete").Q[:, 3:]
-        factor = np.linalg.cholesky(side.T @ kernels @ side)
-        bending = np.linalg.solve(factor, side.T)
-        weights = bending.T @ bending
-        remainder = np.eye(len(kernels)) - kernels @ weights
-        return np.vstack([weights, np.linalg.pinv(affine) @ remainder]), bending
+        here = self._normalised(self.control_points)
+        return _core.cardinal_splines(kernel(here, here), np.column_stack([here, np.ones(len(here))]))
 
 
 def kernel(points: Floats, centres: Floats) -> Floats:

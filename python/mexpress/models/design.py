@@ -24,6 +24,7 @@ from typing import ClassVar, Generic, Self, TypeAlias, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.geometry import Region, middle
@@ -82,8 +83,8 @@ class CardinalBasis:
         sign = 1.0 if mirror[0] >= 0 else -1.0
         # A Householder reflection maps the normal to the first axis, and the other axes to its complement.
         mirror[0] += sign
-        complement = (np.eye(len(mirror)) - np.outer(mirror, mirror / (sign * mirror[0])))[:, 1:]
-        return rows @ np.full(len(normal), 1 / normal.sum()), rows @ complement
+        along = (rows * mirror).sum(axis=1)
+        return rows.sum(axis=1) / normal.sum(), rows[:, 1:] - np.outer(along, mirror[1:] / (sign * mirror[0]))
 
     def blocks(self, count: int) -> tuple[Integers, Integers, Integers]:
         """Return the columns of p_1 (l), p_2 (l) and z (l - 1), one block after another."""
@@ -289,7 +290,10 @@ class LinearDesign(Design[ModelT]):
         """Return the model of a solution, see `Design`."""
         count = self.count if count is None else count
         with np.errstate(over="ignore", invalid="ignore"):
-            parameters = self.centre + self.basis.parameters(count) @ np.asarray(x, dtype=np.float64)[:count]
+            solution = np.asarray(x, dtype=np.float64)[:count]
+            columns = np.ascontiguousarray(solution.reshape(count, -1))
+            product = _core.product(self.basis.parameters(count), columns)
+            parameters = self.centre + product.reshape(solution.shape)
         largest = float(np.abs(parameters).max())
         if not largest <= check.LARGEST_PARAMETER:  # the user has not given them
             rule = (
@@ -365,10 +369,9 @@ class FractionalDesign(Design[ModelT]):
         first, second, third = (np.asarray(x, dtype=np.float64)[block] for block in self.basis.blocks(count))
         functions = self.basis.parameters(count)
         constant, varying = self.basis.denominators(functions, self.normal)
-        denominator = constant + varying @ third
-        numerators = self.scale * functions @ np.column_stack([first, second]) + np.outer(
-            denominator, self.centre
-        )
+        denominator = constant + (varying * third).sum(axis=1)
+        numerators = _core.product(self.scale * functions, np.column_stack([first, second]))
+        numerators += np.outer(denominator, self.centre)
         parameters = np.column_stack([numerators, denominator])
         return self._model(count, parameters, smoothing)
 

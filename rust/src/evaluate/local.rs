@@ -102,3 +102,64 @@ pub trait Local: Sync {
         (functions, elements)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{bits, noise, pool};
+
+    /// The constant one; beside it x in the right half plane, and y, twice, in the left one.
+    struct Three;
+
+    impl Local for Three {
+        const MOST: usize = 3;
+
+        fn count(&self) -> usize {
+            3
+        }
+
+        fn visit(&self, [x, y]: [f64; 2], mut take: impl FnMut(usize, Jet)) {
+            take(0, [1.0, 0.0, 0.0]);
+            if x > 0.0 {
+                take(1, [x, 1.0, 0.0]);
+            } else {
+                (0..2).for_each(|_| take(2, [y, 0.0, 1.0]));
+            }
+        }
+    }
+
+    #[test]
+    fn values_and_slopes_are_sums_over_the_functions_at_a_point() {
+        let points = [2.0, 5.0, -1.0, 7.0];
+        // Two columns.
+        let parameters = [1.0, 10.0, 3.0, 0.5, -2.0, 4.0];
+        let values = Three.values(&points, &parameters, 2, &pool(1)).unwrap();
+        assert_eq!(values, [7.0, 11.0, -27.0, 66.0]);
+        let slopes = Three.slopes(&points, &parameters, 2, &pool(1)).unwrap();
+        assert_eq!(slopes, [3.0, 0.0, 0.5, 0.0, 0.0, -4.0, 0.0, 8.0]);
+        let short = Three.values(&points, &parameters[..5], 2, &pool(1));
+        assert_eq!(short, Err(Error::Length { expected: 6, given: 5 }));
+        assert_eq!(Three.values(&[], &parameters, 2, &pool(1)), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn elements_have_zeros_behind() {
+        let points = [2.0, 5.0, -1.0, 7.0];
+        assert_eq!(Three.elements(&points, 0), (vec![0, 1, 0, 0, 2, 2], vec![1.0, 2.0, 0.0, 1.0, 7.0, 7.0]));
+        assert_eq!(Three.elements(&points, 1).1, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(Three.elements(&points, 2).1, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]);
+    }
+
+    /// Of more points than a task has.
+    #[test]
+    fn every_point_has_its_own_value_on_any_number_of_threads() {
+        let points = noise(2 * (TASK + 11), 5);
+        let parameters = [0.5, 2.0, -1.0];
+        let [one, three] =
+            [1, 3].map(|threads| Three.values(&points, &parameters, 1, &pool(threads)).unwrap());
+        assert_eq!(bits(&one), bits(&three));
+        for (point, value) in points.chunks_exact(2).zip(&one) {
+            assert_eq!(Three.values(point, &parameters, 1, &pool(1)).unwrap(), [*value]);
+        }
+    }
+}

@@ -13,6 +13,9 @@ use crate::pool::Pool;
 /// Points of a tile: their sums stay in the first-level cache.
 const TILE: usize = 64;
 
+/// Centres whose kernels are kept at hand while one spline after another takes them: its sums stay in registers.
+const CENTRES: usize = 16;
+
 /// Evaluations of the kernel that a task should be worth: waking a thread costs about as much as a tenth of these.
 const TASK: usize = 1 << 16;
 
@@ -82,16 +85,23 @@ impl Splines<'_> {
                 *sum = tile.x[i] * along[c] + tile.y[i] * up[c] + constant[c];
             }
         }
-        let mut phi = [0.0; TILE];
-        for (centre, weights) in self.centres.as_chunks().0.iter().zip(kernels.chunks_exact(self.columns)) {
-            for (i, phi) in phi.iter_mut().enumerate() {
-                let squared = tile.squared_distance(i, centre);
-                *phi = 0.5 * squared * ln(squared.max(f64::MIN_POSITIVE));
-            }
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                for i in 0..TILE {
-                    sum[i] += weight * phi[i];
+        let mut kept = [[0.0; TILE]; CENTRES];
+        let (centres, _) = self.centres.as_chunks();
+        for (centres, weights) in centres.chunks(CENTRES).zip(kernels.chunks(CENTRES * self.columns)) {
+            for (centre, phi) in centres.iter().zip(&mut kept) {
+                for (i, phi) in phi.iter_mut().enumerate() {
+                    let squared = tile.squared_distance(i, centre);
+                    *phi = 0.5 * squared * ln(squared.max(f64::MIN_POSITIVE));
                 }
+            }
+            for (c, sum) in sums.iter_mut().enumerate() {
+                let mut total = *sum;
+                for (phi, weight) in kept.iter().zip(weights[c..].iter().step_by(self.columns)) {
+                    for i in 0..TILE {
+                        total[i] += weight * phi[i];
+                    }
+                }
+                *sum = total;
             }
         }
     }

@@ -354,3 +354,91 @@ pub(crate) fn weighted_responses(problem: &Problem<'_>, responses: usize) -> Vec
     }
     b
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Example, assert_close, bits, pool};
+
+    #[test]
+    fn a_fit_is_the_plain_one() {
+        let example = Example::new(40, 6, 2);
+        let factor = example.factor();
+        let rows: Vec<usize> = (0..40).collect();
+        let expected = example.refit(&[], &rows);
+        assert_close(&factor.plain_residuals(), &expected, 1e-14);
+        let fitted = |i: usize, c: usize| {
+            dot(&example.design[6 * i..6 * i + 6], &factor.coefficients[6 * c..6 * c + 6])
+        };
+        let residuals: Vec<f64> = (0..80).map(|k| example.responses[k] - fitted(k / 2, k % 2)).collect();
+        assert_close(&residuals, &expected, 1e-14);
+        let leverage: Vec<f64> =
+            rows.iter().map(|&i| dot(factor.basis_row(i), factor.basis_row(i))).collect();
+        assert_close(&factor.leverage, &leverage, 1e-14);
+        // Q^T e = 0, penalty rows included; and Q^T b is the projection.
+        for j in 0..6 {
+            let along = |i: usize| factor.basis[6 * i + j] * factor.residuals[2 * i];
+            assert!((0..42).map(along).sum::<f64>().abs() < 1e-14);
+            let weighted = |i: usize| example.responses[2 * i + 1] * example.root_weights[i];
+            let projection: f64 = (0..40).map(|i| factor.basis[6 * i + j] * weighted(i)).sum();
+            assert!((factor.projection[6 + j] - projection).abs() < 1e-13);
+        }
+    }
+
+    /// Dependent columns: the shortest solution, the columns that are independent, and those that span.
+    #[test]
+    fn columns_that_depend_on_others_lower_the_rank() {
+        let mut example = Example::new(30, 5, 1);
+        example.penalty.clear();
+        example.design.chunks_exact_mut(5).for_each(|row| (row[1], row[3]) = (2.0 * row[0], row[0] - row[2]));
+        let factor = example.factor();
+        assert_eq!(factor.rank, 3);
+        assert_eq!(factor.independent_columns(&pool(1)), Ok(vec![0, 2, 4]));
+        assert_eq!(factor.spanning_columns().len(), 3);
+        let mut kept = example.clone();
+        kept.columns = 3;
+        kept.design = example.design.chunks(5).flat_map(|row| [row[0], row[2], row[4]]).collect();
+        assert_close(&factor.plain_residuals(), &kept.factor().plain_residuals(), 1e-13);
+        assert_eq!(factor.problem_rows(), 30);
+        // In the coordinates of columns that span, a row is finite and of full rank: three rows are independent.
+        let mut row = [0.0; 4];
+        factor.full_rank_row(&example.problem(), 7, &mut row).unwrap();
+        assert_eq!(row[3], example.responses[7] * example.root_weights[7]);
+    }
+
+    /// Powers of two, so that no digit changes.
+    #[test]
+    fn units_of_columns_change_no_digit() {
+        let example = Example::new(30, 4, 1);
+        let mut scaled = example.clone();
+        let powers = [0, 40, -300, 7].map(|power| f64::from(power).exp2());
+        for matrix in [&mut scaled.design, &mut scaled.penalty] {
+            matrix.chunks_exact_mut(4).for_each(|row| row.iter_mut().zip(powers).for_each(|(x, s)| *x *= s));
+        }
+        let (one, other) = (example.factor(), scaled.factor());
+        assert_eq!(bits(&one.basis), bits(&other.basis));
+        assert_eq!(bits(&one.residuals), bits(&other.residuals));
+        let coefficients: Vec<f64> = other.coefficients.iter().zip(powers).map(|(x, s)| x * s).collect();
+        assert_close(&coefficients, &one.coefficients, 1e-14);
+    }
+
+    #[test]
+    fn any_digit_of_a_row_changes_its_print() {
+        let example = Example::new(10, 6, 2);
+        let print = |example: &Example| example.problem().fingerprint(3, 2);
+        let before = print(&example);
+        for k in 0..9 {
+            let mut changed = example.clone();
+            let x = match k {
+                0..6 => &mut changed.design[18 + k],
+                6..8 => &mut changed.responses[k],
+                _ => &mut changed.root_weights[3],
+            };
+            *x = f64::from_bits(x.to_bits() ^ 1);
+            assert_ne!(print(&changed), before, "number {k}");
+        }
+        let mut elsewhere = example.clone();
+        elsewhere.design[0] += 1.0;
+        assert_eq!(print(&elsewhere), before);
+    }
+}

@@ -255,6 +255,15 @@ pub fn solve_upper(r: &[f64], stride: usize, order: usize, x: &mut [f64], width:
     );
 }
 
+/// `x <- L^-1 x`, with L the lower triangle of a square matrix, and x (order x width).
+pub fn solve_lower(lower: &[f64], order: usize, x: &mut [f64], width: usize) {
+    triangular_solve::solve_lower_triangular_in_place(
+        MatRef::from_column_major_slice(lower, order, order),
+        MatMut::from_column_major_slice_mut(x, order, width),
+        Par::Seq,
+    );
+}
+
 /// A matrix of columns (rows) of some length with its rows (columns) for them.
 pub fn transposed(a: &[f64], length: usize) -> Vec<f64> {
     (0..length).flat_map(|i| a.iter().skip(i).step_by(length)).copied().collect()

@@ -1,5 +1,6 @@
 //! One fit of all rows: the orthonormal basis of a design, and the dense factorisations under it.
 
+pub mod bending;
 mod cholesky_qr;
 mod extremes;
 pub mod factor;

@@ -132,3 +132,82 @@ fn leading_sums(terms: impl Iterator<Item = f64>, ends: &[usize], mut hand: impl
         hand(k, sum);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::probes::least_eigenvalue;
+    use crate::testing::{Example, assert_close, pool, singletons};
+
+    fn workspace(rows: &[usize], validated: usize) -> Workspace {
+        let mut work = Workspace::new(0);
+        (work.rows, work.validated) = (rows.to_vec(), validated);
+        work
+    }
+
+    /// Weighted residuals, as the closed form gives them.
+    fn refit(example: &Example, held: &[usize], rows: &[usize]) -> Vec<f64> {
+        let plain = example.refit(held, rows);
+        let weight = |k: usize| example.root_weights[rows[k / example.count]];
+        plain.iter().enumerate().map(|(k, e)| e * weight(k)).collect()
+    }
+
+    #[test]
+    fn one_to_three_rows_unrolled_are_what_any_number_is() {
+        fn check<const N: usize>(example: &Example, rows: [usize; N]) {
+            let (factor, mut work) = (example.factor(), workspace(&rows, N));
+            let (mut unrolled, mut general) = (vec![0.0; 2 * N], vec![0.0; 2 * N]);
+            let least = work.unrolled::<N>(&factor, &mut unrolled);
+            assert!(work.dual(&factor, None, &[N], &mut general));
+            assert_close(&unrolled, &general, 1e-14);
+            assert_close(&unrolled, &refit(example, &rows, &rows), 1e-13);
+            assert!(least > 0.0 && least <= work.least[0] * (1.0 + 1e-14));
+        }
+        let example = Example::new(25, 6, 2);
+        check(&example, [4]);
+        check(&example, [20, 3]);
+        check(&example, [7, 0, 19]);
+    }
+
+    /// With unit vectors that ride along, and by a back substitution; with the hat matrix and without.
+    #[test]
+    fn every_set_of_a_chain_is_solved_as_if_alone() {
+        let example = Example::new(50, 6, 2);
+        let factor = example.factor();
+        let hat = Hat::new(&factor, &singletons(50), 0..50, &pool(1)).unwrap();
+        let rows: Vec<usize> = (10..40).rev().collect();
+        for hat in [None, Some(&hat)] {
+            let mut work = workspace(&rows, 2);
+            let ends = [2, 5, 5, 17, 30];
+            let mut found = vec![0.0; 4 * ends.len()];
+            assert!(work.dual(&factor, hat, &ends, &mut found));
+            for (&end, found) in ends.iter().zip(found.chunks(4)) {
+                assert_close(found, &refit(&example, &rows[..end], &rows[..2]), 1e-12);
+            }
+            let many = MOST_CARRIED + 3;
+            let mut work = workspace(&rows, many);
+            let mut found = vec![0.0; 2 * many];
+            assert!(work.dual(&factor, hat, &[30], &mut found));
+            assert_close(&found, &refit(&example, &rows, &rows[..many]), 1e-12);
+        }
+    }
+
+    /// The larger a set, the less is left: estimates decrease along a chain, each as if the set were alone.
+    #[test]
+    fn every_set_of_a_chain_has_its_own_least_eigenvalue() {
+        let factor = Example::nearly_lost(30, 4, 1e-3).factor();
+        let rows = [5, 29, 7, 28, 3];
+        let mut work = workspace(&rows, 1);
+        let mut out = vec![0.0; 10];
+        assert!(work.dual(&factor, None, &[1, 2, 3, 4, 5], &mut out));
+        let together = work.least.clone();
+        for (k, least) in together.iter().enumerate() {
+            work.fill_dual(&factor, None, k + 1, 0);
+            let alone = least_eigenvalue(&mut work.system, k + 1, factor.responses);
+            assert!((least / alone - 1.0).abs() < 1e-6);
+        }
+        assert!(together[2] > 1e-2 && together[3] < 1e-4);
+        let lost = Example::nearly_lost(30, 4, 0.0).factor();
+        assert!(!work.dual(&lost, None, &[5], &mut out[..2]));
+    }
+}

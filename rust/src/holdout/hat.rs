@@ -51,3 +51,29 @@ impl Hat {
         &self.values[place * m..(place + 1) * m]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Example, assert_close, bits, pool, sets};
+
+    /// Of more rows than a task has, on any number of threads.
+    #[test]
+    fn lines_are_rows_of_the_hat_matrix_in_the_order_of_visits() {
+        let factor = Example::new(150, 6, 1).factor();
+        // A datum of two rows comes first, then one that comes again.
+        let rows = sets([&[7], &[149, 3], &[0]]);
+        let visits = [1, 0, 1];
+        let hats =
+            [1, 3].map(|threads| Hat::new(&factor, &rows, visits.into_iter(), &pool(threads)).unwrap());
+        let hat = &hats[0];
+        assert_eq!([149, 3, 7, 0, 1].map(|row| hat.place[row]), [0, 1, 2, 3, 4]);
+        for i in 0..150 {
+            let expected: Vec<f64> =
+                (0..150).map(|j| linalg::dot(factor.basis_row(i), factor.basis_row(j))).collect();
+            let found: Vec<f64> = (0..150).map(|j| hat.line(hat.place[i])[hat.place[j]]).collect();
+            assert_close(&found, &expected, 1e-14);
+        }
+        assert_eq!(bits(&hats[0].values), bits(&hats[1].values));
+    }
+}

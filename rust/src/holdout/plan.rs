@@ -159,3 +159,128 @@ pub(super) fn visits<'a>(
         .flat_map(move |chain| (0..chain.length).flat_map(move |step| validated(chain, step)))
         .copied()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::scheme::Held;
+    use crate::near::neighbours::LazyNeighbourhoods;
+    use crate::testing::{Example, pool, sets, singletons, windows};
+
+    fn scheme<'a>(held: &'a Sets, validated: &'a Sets, order: Option<&'a [usize]>) -> Scheme<'a> {
+        Scheme { held: Held::Sets(held), validated, order }
+    }
+
+    #[test]
+    fn balls_around_the_same_data_are_a_chain_the_smaller_first() {
+        let (alone, some) = (singletons(9), sets([&[1], &[2]]));
+        let (small, large, order) = (windows(9, 1), windows(9, 3), [8, 0, 3, 1, 2, 4, 5, 7, 6]);
+        let schemes = [
+            scheme(&large, &alone, Some(&order)),
+            scheme(&some, &some, None),
+            scheme(&alone, &alone, None),
+            scheme(&small, &alone, Some(&order)),
+            scheme(&small, &alone, Some(&order[..4])),
+        ];
+        let chains = chains(&schemes);
+        let members: Vec<&[usize]> = chains.iter().map(|chain| &chain.schemes[..]).collect();
+        assert_eq!(members, [&[2, 3, 0][..], &[1], &[4]]);
+        assert_eq!(chains.iter().map(|chain| chain.length).collect::<Vec<_>>(), [9, 2, 4]);
+        // Visited in the order that one of its schemes knows, or as listed.
+        assert_eq!([chains[0].pair(0), chains[1].pair(1), chains[2].pair(2)], [8, 1, 3]);
+        let data: Vec<usize> = visits(&chains, &schemes).collect();
+        assert_eq!(data, [&order[..], &[1, 2], &order[..4]].concat());
+        let listed = scheme(&small, &alone, None);
+        let both = super::chains(&[listed, scheme(&large, &alone, Some(&order))]);
+        assert_eq!((both.len(), both[0].order), (1, Some(&order[..])));
+        // Some of the data are not visited as all of them are.
+        assert_eq!(super::chains(&[scheme(&large, &alone, Some(&order[..4])), listed]).len(), 2);
+    }
+
+    /// Whatever a step costs, and if it costs more than a portion should.
+    #[test]
+    fn portions_cover_every_step_of_every_chain_once() {
+        let mut factor = Example::new(40, 3, 1).factor();
+        for count in [0, 1, 7, 33, 1000] {
+            let (alone, order) = (singletons(count), (0..count).collect::<Vec<_>>());
+            let (small, large) = (windows(count, 2), windows(count, 20));
+            let schemes = [scheme(&large, &alone, Some(&order)), scheme(&small, &small, None)];
+            let chains = chains(&schemes);
+            for rank in [0, 3, 5000, 1_000_000_000] {
+                factor.rank = rank;
+                let portions = portions(&chains, &schemes, &factor, &singletons(40));
+                let visited = |chain: &Chain<'_>| {
+                    let mine = portions.iter().filter(move |portion| std::ptr::eq(portion.chain, chain));
+                    mine.flat_map(|portion| portion.steps.clone()).collect::<Vec<_>>()
+                };
+                assert!(chains.iter().all(|chain| visited(chain) == order));
+                assert!(portions.iter().all(|portion| !portion.steps.is_empty()));
+                let lengths = |chain: &Chain<'_>| {
+                    let mine = portions.iter().filter(move |portion| std::ptr::eq(portion.chain, chain));
+                    mine.map(|portion| portion.steps.len()).collect::<Vec<_>>()
+                };
+                match rank {
+                    // A step that costs more than a portion should is a portion.
+                    1_000_000_000 => assert!(chains.iter().all(|chain| lengths(chain) == vec![1; count])),
+                    3 => assert!(lengths(&chains[0]).first().is_none_or(|&n| n >= SHARING_STEPS.min(count))),
+                    _ => {}
+                }
+                assert!(rank > 3 || chains.iter().all(|chain| lengths(chain).len() <= PORTIONS + 1));
+            }
+        }
+    }
+
+    #[test]
+    fn dual_and_primal_cost_the_same_for_as_many_rows_as_columns() {
+        let (dual, primal) = costs(30.0, 30.0, 30, false);
+        assert!((dual / primal - 1.0).abs() < 1e-15);
+        let (fewer, more) = (costs(29.0, 29.0, 30, false), costs(31.0, 31.0, 30, false));
+        assert!(fewer.0 < fewer.1 && more.0 > more.1);
+        // What neighbours share, and what the hat matrix holds, is not computed.
+        assert!(costs(31.0, 5.0, 30, false).1 < more.1 && costs(31.0, 31.0, 30, true).0 < more.0);
+    }
+
+    #[test]
+    fn no_number_of_leading_sets_costs_less() {
+        for sizes in [&[1.0, 2.0, 5.0, 9.0][..], &[3.0, 20.0, 21.0, 200.0], &[50.0, 60.0], &[7.0], &[]] {
+            for rank in [1, 4, 12, 40, 150] {
+                for (shared, hat) in [(true, true), (true, false), (false, true), (false, false)] {
+                    let each = |q: f64| costs(q, if shared { rim(q) } else { q }, rank, hat);
+                    let apart = |some: &[f64]| some.iter().map(|&q| each(q).0.min(each(q).1)).sum::<f64>();
+                    let total =
+                        |k: usize| apart(&sizes[k..]) + if k > 0 { each(sizes[k - 1]).0 } else { 0.0 };
+                    let least = (0..=sizes.len()).map(total).fold(f64::INFINITY, f64::min);
+                    let (count, cost) = lead(sizes, shared, rank, hat);
+                    assert!((cost - least).abs() <= 1e-12 * least);
+                    assert!((total(count) - least).abs() <= 1e-12 * least);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_hat_matrix_pays_where_pairs_are_many_and_rows_are_few() {
+        let pays = |rows: usize, held: Held<'_>| {
+            let mut factor = Example::new(60, 25, 1).factor();
+            factor.rows = rows;
+            let alone = singletons(60);
+            let schemes = [Scheme { held, validated: &alone, order: None }];
+            hat_pays(&chains(&schemes), &schemes, &factor, &alone)
+        };
+        let (several, alone) = (windows(60, 5), singletons(60));
+        let places: Vec<f64> = (0..60).map(f64::from).collect();
+        let lazy = LazyNeighbourhoods::within(&places, 1, 5.0, &pool(1)).unwrap();
+        assert!(pays(60, Held::Sets(&several)));
+        assert!(!pays(60, Held::Sets(&alone)));
+        assert!(!pays(600, Held::Sets(&several)));
+        assert!(!pays(60, Held::Lazy(&lazy)));
+        // So many pairs would pay for any number of rows, but for the memory.
+        let mut many = Example::new(60, 25, 1).factor();
+        (many.rows, many.rank) = (HAT_ROWS + 1, 100);
+        let (several, order) = (windows(60, 15), (0..60).cycle().take(20_000).collect::<Vec<_>>());
+        let schemes = [scheme(&several, &alone, Some(&order))];
+        assert!(!hat_pays(&chains(&schemes), &schemes, &many, &alone));
+        many.rows = HAT_ROWS;
+        assert!(hat_pays(&chains(&schemes), &schemes, &many, &alone));
+    }
+}

@@ -271,3 +271,88 @@ pub(super) fn unweight(factor: &Factor, rows: &[usize], out: &mut [f64]) {
         e.iter_mut().for_each(|e| *e *= factor.unweight(row));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::scheme::Held;
+    use crate::testing::{Example, assert_close, bits, pool, sets, singletons, windows};
+
+    fn predict(
+        example: &Example,
+        schemes: &[(&Sets, &Sets, Option<&[usize]>)],
+        rows: &Sets,
+        threads: usize,
+    ) -> Predictions {
+        let schemes: Vec<Scheme<'_>> = schemes
+            .iter()
+            .map(|&(held, validated, order)| Scheme { held: Held::Sets(held), validated, order })
+            .collect();
+        example.factor().predict(&example.problem(), &schemes, rows, &pool(threads)).unwrap()
+    }
+
+    fn rows_of(data: &[usize], rows: &Sets) -> Vec<usize> {
+        data.iter().flat_map(|&datum| rows.get(datum)).copied().collect()
+    }
+
+    /// One to three rows, small sets and large ones, some of them validated or many, alone and in chains.
+    #[test]
+    fn predictions_are_plain_refits() {
+        let example = Example::new(66, 5, 2);
+        // Data of one row, of two and of three.
+        let rows: Sets = (0..33).map(|i| [vec![i], vec![33 + i], vec![33 + i, i]][i % 3].clone()).collect();
+        let (alone, order) = (singletons(33), (0..33).collect::<Vec<_>>());
+        let held = [0, 1, 4, 9].map(|reach| windows(33, reach));
+        let many = sets([&[3, 4, 5, 6, 7, 8, 20, 22]]);
+        for order in [None, Some(&order[..])] {
+            let mut schemes: Vec<_> = held.iter().map(|held| (held, &alone, order)).collect();
+            schemes.extend([(&held[1], &held[1], None), (&many, &many, None)]);
+            let found = predict(&example, &schemes, &rows, 2);
+            let mut values = &found.residuals[..];
+            let mut listed = Vec::new();
+            for (held, validated, _) in schemes {
+                for pair in 0..held.len() {
+                    let some = rows_of(validated.get(pair), &rows);
+                    let expected = example.refit(&rows_of(held.get(pair), &rows), &some);
+                    let (mine, rest) = values.split_at(expected.len());
+                    assert_close(mine, &expected, 1e-12);
+                    (values, listed) = (rest, [listed, some].concat());
+                }
+            }
+            assert_eq!(found.rows, listed);
+            assert!(found.status.iter().all(|&status| status == Status::Closed));
+            assert_eq!(
+                (found.offsets.len(), found.offsets.last()),
+                (found.status.len() + 1, Some(&listed.len()))
+            );
+        }
+    }
+
+    /// The last column is seen by the last two rows alone; three rows are too few; nothing held out loses nothing.
+    #[test]
+    fn without_rank_there_is_no_prediction() {
+        let example = Example::nearly_lost(12, 4, 0.0);
+        let some: Vec<usize> = (0..9).collect();
+        let held = sets([&[10, 11], &[11], &some, &[], &[0, 1, 2, 10, 11]]);
+        let validated = sets([&[10], &[11], &[0, 5], &[], &[1]]);
+        let found = predict(&example, &[(&held, &validated, None)], &singletons(12), 1);
+        let expected =
+            [Status::Undefined, Status::Closed, Status::Undefined, Status::Closed, Status::Undefined];
+        assert_eq!(found.status, expected);
+        let refits: Vec<f64> =
+            (0..5).flat_map(|pair| example.refit(held.get(pair), validated.get(pair))).collect();
+        assert_close(&found.residuals, &refits, 1e-12);
+    }
+
+    #[test]
+    fn no_bit_depends_on_threads() {
+        let example = Example::nearly_lost(300, 9, 5e-5);
+        let (alone, order) = (singletons(300), (0..300).rev().collect::<Vec<_>>());
+        let held = [2, 9, 30].map(|reach| windows(300, reach));
+        let schemes = held.each_ref().map(|held| (held, &alone, Some(&order[..])));
+        let [one, four] = [1, 4].map(|threads| predict(&example, &schemes, &alone, threads));
+        assert_eq!(bits(&one.residuals), bits(&four.residuals));
+        assert_eq!(one.status, four.status);
+        assert!(one.status.contains(&Status::Refined) && one.status.contains(&Status::Closed));
+    }
+}

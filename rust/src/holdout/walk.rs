@@ -316,3 +316,178 @@ impl Workspace {
         gram.change(&self.rows, -1.0, |i| (factor.basis_row(i), factor.residual_row(i)));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+    use crate::fit::linalg::dot;
+    use crate::fit::panels::PANEL;
+    use crate::holdout::plan::{chains, portions};
+    use crate::holdout::scheme::Held;
+    use crate::testing::{Example, assert_close, bits, pool, sets, singletons, windows};
+
+    fn scheme<'a>(held: &'a Sets, validated: &'a Sets, order: Option<&'a [usize]>) -> Scheme<'a> {
+        Scheme { held: Held::Sets(held), validated, order }
+    }
+
+    /// The lower triangle and the right-hand sides below it.
+    fn entries(gram: &Gram) -> Vec<f64> {
+        let (order, border) = gram.shape();
+        let entry = |i: usize, j: usize| gram.panel(i / PANEL)[j * PANEL + i % PANEL];
+        (0..order + border).flat_map(|i| (0..order.min(i + 1)).map(move |j| entry(i, j))).collect()
+    }
+
+    /// `I - Q_K^T Q_K` above `-Q_K^T e_K`.
+    fn expected(factor: &Factor, held: &[usize]) -> Vec<f64> {
+        let column = |k: usize| {
+            let entry = move |i: usize| match k.checked_sub(factor.rank) {
+                None => factor.basis_row(i)[k],
+                Some(c) => factor.residual_row(i)[c],
+            };
+            held.iter().map(|&i| entry(i)).collect::<Vec<f64>>()
+        };
+        let entry = |i, j| f64::from(u8::from(i == j)) - dot(&column(i), &column(j));
+        let lines = 0..factor.rank + factor.responses;
+        lines
+            .flat_map(|i| (0..factor.rank.min(i + 1)).map(move |j| (i, j)))
+            .map(|(i, j)| entry(i, j))
+            .collect()
+    }
+
+    /// Asks for every matrix on the way, and how it was made.
+    struct Matrices<'a>(&'a Ground<'a>, Mutex<[usize; 4]>);
+
+    impl Question for Matrices<'_> {
+        type Answer = Vec<f64>;
+
+        fn dual(&self, _: &mut Workspace, _: Visit<'_>, _: f64, _: &mut Vec<f64>) -> bool {
+            false
+        }
+
+        fn primal(&self, work: &mut Workspace, at: Visit<'_>, _: &Pool<'_>, answer: &mut Vec<f64>) {
+            let held = work.rows.len();
+            let (slide, ring) = (work.slide.len(), if at.k > 0 { work.ring.len() } else { usize::MAX });
+            let way = if slide.min(ring) == 0 {
+                3
+            } else if slide.min(ring) == held {
+                2
+            } else {
+                usize::from(ring < slide)
+            };
+            self.1.lock().unwrap()[way] += 1;
+            let found = entries(&work.last[at.k].gram);
+            assert_close(&found, &expected(self.0.factor, &work.rows), 1e-14);
+            answer.extend(found);
+        }
+    }
+
+    /// Neighbours, jumps, balls inside each other, sets that come twice: whatever it is made from, a matrix is the same, and
+    /// its bits do not depend on threads.
+    #[test]
+    fn every_matrix_is_that_of_its_held_out_rows_however_it_was_made() {
+        let (factor, alone) = (Example::new(60, 11, 2).factor(), singletons(60));
+        let (small, large) = (windows(60, 4), windows(60, 6));
+        let order: Vec<usize> = (0..30).chain([59, 31, 45, 45]).chain(32..59).collect();
+        let schemes = [scheme(&large, &alone, Some(&order)), scheme(&small, &alone, Some(&order))];
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &alone, hat: None };
+        let chains = chains(&schemes);
+        let portions = portions(&chains, &schemes, &factor, &alone);
+        let found = [1, 3].map(|threads| {
+            let mut answers = vec![Vec::new(); portions.len()];
+            let matrices = Matrices(&ground, Mutex::default());
+            walk(&ground, &matrices, &portions, &mut answers, &pool(threads)).unwrap();
+            let ways = matrices.1.into_inner().unwrap();
+            assert!(ways.iter().all(|&count| count > 0), "{ways:?}");
+            bits(&answers.concat())
+        });
+        assert_eq!(found[0], found[1]);
+    }
+
+    /// By a slide, by a ring and afresh.
+    #[test]
+    fn three_ways_lead_to_one_matrix() {
+        let factor = Example::new(40, 7, 1).factor();
+        let (held, validated, rows) = (windows(40, 3), singletons(40), singletons(40));
+        let inner = windows(40, 2);
+        let schemes = [scheme(&inner, &validated, None), scheme(&held, &validated, None)];
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+        let mut found = Vec::new();
+        for (from, ring) in [(10, false), (30, false), (10, true)] {
+            let mut work = Workspace::new(40);
+            work.start(&ground, 2);
+            // The pair of the larger scheme before, then both pairs of this step.
+            for (k, pair) in [(1, from), (0, 11), (1, 11)] {
+                schemes[k].held.members(pair, &mut work.members[k]);
+                work.list(&ground, validated.get(pair), k..k + 1);
+                work.find_change(k);
+                work.update_gram(&ground, k, k == 1 && pair == 11 && ring);
+            }
+            let change = if ring { &work.ring } else { &work.slide };
+            // What was added and removed: one at each end, all, and the ring.
+            let counts = (change.added.len(), change.removed.len());
+            assert_eq!(
+                counts,
+                if ring {
+                    (2, 0)
+                } else if from == 10 {
+                    (1, 1)
+                } else {
+                    (7, 0)
+                }
+            );
+            found.push(entries(&work.last[1].gram));
+        }
+        for gram in &found {
+            assert_close(gram, &expected(&factor, held.get(11)), 1e-14);
+        }
+    }
+
+    #[test]
+    fn rows_are_listed_validated_first_then_ring_after_ring() {
+        let factor = Example::new(8, 2, 1).factor();
+        // Datum i has rows 2 i and 2 i + 1.
+        let rows: Sets = (0..4).map(|i| vec![2 * i, 2 * i + 1]).collect();
+        let ground = Ground { factor: &factor, schemes: &[], rows: &rows, hat: None };
+        let mut work = Workspace::new(4);
+        work.members = vec![vec![0, 2], vec![3, 2, 0], vec![2, 1]];
+        assert!(work.list(&ground, &[2], 0..2));
+        assert_eq!((&work.rows[..], work.validated), (&[4, 5, 0, 1, 6, 7][..], 2));
+        assert_eq!(work.ends, [4, 6]);
+        assert!(!work.list(&ground, &[2], 1..3));
+    }
+
+    /// Pairs that hold out the same share the factor.
+    #[test]
+    fn a_factor_is_known_until_its_matrix_changes() {
+        struct Known(Mutex<Vec<bool>>);
+        impl Question for Known {
+            type Answer = Vec<f64>;
+
+            fn dual(&self, _: &mut Workspace, _: Visit<'_>, _: f64, _: &mut Vec<f64>) -> bool {
+                false
+            }
+
+            fn primal(&self, work: &mut Workspace, at: Visit<'_>, _: &Pool<'_>, answer: &mut Vec<f64>) {
+                let factor = Example::new(12, 3, 1).factor();
+                let known = work.known_least(at.k);
+                self.0.lock().unwrap().push(known.is_some());
+                let again = work.factor_primal(&factor, at.k, 0);
+                assert!(known.is_none_or(|least| least == again));
+                assert!(work.known_least(at.k + 1).is_none());
+                answer.push(again);
+            }
+        }
+        let factor = Example::new(12, 3, 1).factor();
+        let held = sets([&[0, 1, 2], &[1, 0, 2], &[0, 1, 3], &[0, 1, 3]]);
+        let validated = sets([&[0], &[1], &[0], &[3]]);
+        let (schemes, rows) = ([scheme(&held, &validated, None)], singletons(12));
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+        let chain = Chain { schemes: vec![0], order: None, length: 4 };
+        let known = Known(Mutex::default());
+        walk(&ground, &known, &[Portion { chain: &chain, steps: 0..4 }], &mut [Vec::new()], &pool(1))
+            .unwrap();
+        assert_eq!(known.0.into_inner().unwrap(), [false, true, false, true]);
+    }
+}

@@ -3,6 +3,7 @@
 //! Checks that deserve a sentence are made in Python; what is checked here keeps memory safe, no more.
 
 mod arrays;
+mod bending;
 mod evaluate;
 mod factor;
 mod interrupt;
@@ -18,8 +19,13 @@ use pyo3::prelude::*;
 /// The Rust core of mexpress.
 #[pymodule(gil_used = false)]
 mod _core {
+    use numpy::{PyArray1, PyArrayMethods};
+    use pyo3::prelude::*;
+
     #[pymodule_export]
     use super::arrays::{are_sets, largest};
+    #[pymodule_export]
+    use super::bending::{cardinal_splines, leading_bending, product, reduced_bending};
     #[pymodule_export]
     use super::evaluate::{LocalFunctions, preimages_of, spline_slopes, spline_values};
     #[pymodule_export]
@@ -35,4 +41,11 @@ mod _core {
     use super::penalty_path::PenaltyPath;
     #[pymodule_export]
     use super::place::{lloyd, place_by_residual, spread};
+
+    /// NumPy's interface is loaded when it is first used, by an import that Ctrl-C breaks off: a panic. So it is used here.
+    #[pymodule_init]
+    fn load_numpy(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        PyArray1::<f64>::zeros(module.py(), 0, false).try_readonly()?;
+        Ok(())
+    }
 }

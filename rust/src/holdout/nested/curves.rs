@@ -191,3 +191,105 @@ impl PairCurve {
         }
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use crate::holdout::nested::{Curve, Nested};
+    use crate::holdout::scheme::{Held, Scheme};
+    use crate::sets::Sets;
+    use crate::testing::{Example, assert_close, bits, pool, sets, singletons, windows};
+
+    type Pairs<'a> = (&'a Sets<'a>, &'a Sets<'a>, Option<&'a [usize]>);
+
+    pub(crate) fn curves(example: &Example, pairs: &[Pairs<'_>], threads: usize) -> Vec<Curve> {
+        let schemes: Vec<Scheme<'_>> = pairs
+            .iter()
+            .map(|&(held, validated, order)| Scheme { held: Held::Sets(held), validated, order })
+            .collect();
+        let (problem, sizes) = (example.problem(), (1..=example.columns).collect::<Vec<_>>());
+        let nested = Nested::new(&problem, &pool(threads)).unwrap();
+        nested.curves(&problem, &schemes, &singletons(example.rows), &sizes, &pool(threads)).unwrap()
+    }
+
+    /// Weighted squares of what plain refits of each model leave of the validated rows.
+    pub(crate) fn refitted(example: &Example, held: &[usize], validated: &[usize]) -> Vec<f64> {
+        let squares = |size: usize| {
+            let residuals = example.lead(size).refit(held, validated);
+            let rows = residuals.chunks(example.count).zip(validated);
+            rows.map(|(e, &i)| e.iter().map(|e| (e * example.root_weights[i]).powi(2)).sum::<f64>()).sum()
+        };
+        (1..=example.columns).map(squares).collect()
+    }
+
+    fn sum_of_refits(example: &Example, held: &Sets, validated: &Sets) -> Vec<f64> {
+        let mut sums = vec![0.0; example.columns];
+        for pair in 0..held.len() {
+            let curve = refitted(example, held.get(pair), validated.get(pair));
+            sums.iter_mut().zip(curve).for_each(|(sum, x)| *sum += x);
+        }
+        sums
+    }
+
+    /// Few rows and many, alone and in chains, more validated than are solved for together.
+    #[test]
+    fn a_curve_is_what_each_model_says_alone() {
+        let example = Example::new(90, 7, 2);
+        let (alone, order) = (singletons(90), (0..90).collect::<Vec<_>>());
+        let (small, large) = (windows(90, 1), windows(90, 8));
+        let many: Vec<usize> = (3..75).collect();
+        let fold = sets([&many]);
+        let pairs: [Pairs<'_>; 4] = [
+            (&small, &alone, Some(&order)),
+            (&alone, &alone, None),
+            (&large, &alone, Some(&order)),
+            (&fold, &fold, None),
+        ];
+        for (curve, (held, validated, _)) in curves(&example, &pairs, 2).iter().zip(pairs) {
+            assert_close(&curve.squares, &sum_of_refits(&example, held, validated), 1e-12);
+            assert_eq!(curve.defined, vec![7; held.len()]);
+        }
+    }
+
+    /// The third of four columns is seen by the last two rows alone: without them two models are left.
+    #[test]
+    fn a_model_without_rank_has_no_score_nor_have_larger_ones() {
+        let mut example = Example::nearly_lost(40, 4, 0.0);
+        example.design.chunks_exact_mut(4).for_each(|row| row.swap(2, 3));
+        let held = sets([&[3, 4], &[38, 39, 1], &[39]]);
+        let validated = sets([&[3], &[39, 38], &[39]]);
+        let curve = &curves(&example, &[(&held, &validated, None)], 1)[0];
+        assert_eq!(curve.defined, [4, 2, 4]);
+        let expected = sum_of_refits(&example, &held, &validated);
+        assert!(expected[2].is_nan() && expected[3].is_nan());
+        assert_close(&curve.squares, &expected, 1e-12);
+        // In the scheme's order, where it has one.
+        let ordered = &curves(&example, &[(&held, &validated, Some(&[1, 0, 2]))], 1)[0];
+        assert_eq!(ordered.defined, [2, 4, 4]);
+    }
+
+    /// A column that is nearly another's copy, and the difference of which the training rows see at a fraction: M is far
+    /// from singular, and yet they have lost rank.
+    #[test]
+    fn of_an_ill_conditioned_design_the_triangle_decides() {
+        let mut example = Example::nearly_lost(40, 4, 3e-4);
+        example.design.chunks_exact_mut(4).for_each(|row| row[3] = row[1] + 1e-12 * row[3]);
+        let held = sets([&[38, 39, 0, 1, 2, 3, 4], &[3, 4]]);
+        let validated = sets([&[38, 0], &[3]]);
+        let curve = &curves(&example, &[(&held, &validated, None)], 1)[0];
+        assert_eq!(curve.defined, [3, 4]);
+        assert!(curve.squares[3].is_nan());
+        assert_close(&curve.squares[..3], &sum_of_refits(&example, &held, &validated)[..3], 1e-11);
+    }
+
+    #[test]
+    fn no_bit_depends_on_threads() {
+        let example = Example::nearly_lost(200, 9, 1e-4);
+        let (alone, order) = (singletons(200), (0..200).rev().collect::<Vec<_>>());
+        let held = [2, 30].map(|reach| windows(200, reach));
+        let pairs = held.each_ref().map(|held| (held, &alone, Some(&order[..])));
+        let [one, four] = [1, 4].map(|threads| curves(&example, &pairs, threads));
+        for (one, four) in one.iter().zip(&four) {
+            assert_eq!(bits(&one.squares), bits(&four.squares));
+        }
+    }
+}

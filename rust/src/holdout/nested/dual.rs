@@ -128,3 +128,76 @@ fn unrolled<const N: usize>(
 fn inner<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::nested::curves::tests::refitted;
+    use crate::testing::{Example, assert_close, pool};
+
+    fn nested(example: &Example) -> Nested {
+        Nested::new(&example.problem(), &pool(1)).unwrap()
+    }
+
+    #[test]
+    fn small_sets_are_plain_refits_of_every_model() {
+        let example = Example::new(40, 6, 2);
+        let (nested, mut dual) = (nested(&example), Dual::default());
+        let rows = [30, 4, 17, 5, 39, 11, 0];
+        for q in [5, 1, 2, 3, 4, 7] {
+            for validated in [1, q] {
+                let mut squares = vec![0.0; 6];
+                let given = (&rows[..q], validated);
+                assert!(dual.solve(&nested, &[1, 2, 3, 4, 5, 6], given, &mut squares));
+                assert_close(&squares, &refitted(&example, &rows[..q], &rows[..validated]), 1e-12);
+                // They are added to what is there, and cuts may come twice.
+                let mut some = vec![1.0; 4];
+                assert!(dual.solve(&nested, &[0, 3, 3, 6], given, &mut some));
+                assert_close(&some[1..], &[squares[2], squares[2], squares[5]].map(|x| x + 1.0), 1e-12);
+            }
+        }
+    }
+
+    /// What the general way finds of one to three rows, one response after another in registers.
+    #[test]
+    fn one_to_three_rows_unrolled_are_what_any_number_is() {
+        fn check<const N: usize>(nested: &Nested, rows: [usize; N]) {
+            let (mut dual, mut general) = (Dual::default(), Vec::new());
+            dual.load(nested, &rows);
+            for j in 0..5 {
+                assert!(dual.column(j, N, nested.factor.projection.chunks_exact(5)));
+                general.push(dot(&dual.residuals, &dual.residuals));
+            }
+            let mut squares = vec![0.0; 5];
+            assert!(unrolled::<N>(nested, &[1, 2, 3, 4, 5], (&rows, N), &mut squares));
+            assert_close(&squares, &general, 1e-14);
+        }
+        let nested = nested(&Example::new(20, 5, 3));
+        check(&nested, [3]);
+        check(&nested, [18, 2]);
+        check(&nested, [0, 9, 4]);
+    }
+
+    /// Where the last rows see nearly all of a column, whether a pivot tells or the trace does.
+    #[test]
+    fn what_may_be_inaccurate_is_left_to_others() {
+        for (fraction, accurate) in [(1e-1, true), (1e-4, false), (0.0, false)] {
+            let nested = nested(&Example::nearly_lost(30, 3, fraction));
+            for rows in [&[28, 29][..], &[29, 3, 28], &[1, 29, 28, 7, 2]] {
+                let mut squares = vec![0.0; 3];
+                assert_eq!(Dual::default().solve(&nested, &[1, 2, 3], (rows, 1), &mut squares), accurate);
+            }
+            assert!(Dual::default().solve(&nested, &[2], (&[28, 29], 1), &mut [0.0]));
+        }
+        // One row's part in two columns, each of which leaves a thousandth.
+        let mut example = Example::new(30, 2, 1);
+        example.penalty.clear();
+        example.design.iter_mut().for_each(|x| *x *= 0.01);
+        example.design[58..].copy_from_slice(&[1.0, 30.0]);
+        let nested = self::nested(&example);
+        for rows in [&[29][..], &[3, 29, 1, 7]] {
+            assert!(Dual::default().solve(&nested, &[1], (rows, 1), &mut [0.0]));
+            assert!(!Dual::default().solve(&nested, &[1, 2], (rows, 1), &mut [0.0; 2]));
+        }
+    }
+}

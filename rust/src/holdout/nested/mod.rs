@@ -245,3 +245,76 @@ fn add_squares<const N: usize>(b: [f64; N], u: &[[f64; N]], v: &[f64], cuts: &[u
         rest.iter().for_each(|e| *square += e * e);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Example, assert_close, bits, pool};
+
+    /// More rows than a task has.
+    #[test]
+    fn fits_are_those_of_each_model_alone() {
+        let example = Example::new(2100, 6, 2);
+        let nested = Nested::new(&example.problem(), &pool(2)).unwrap();
+        let sizes = [0, 1, 1, 4, 6];
+        let [fits, again] = [1, 3].map(|threads| nested.fits(&sizes, &pool(threads)).unwrap());
+        let squares = |fits: &[ModelFit]| fits.iter().map(|fit| fit.squares).collect::<Vec<_>>();
+        assert_eq!(bits(&squares(&fits)), bits(&squares(&again)));
+        for (fit, &size) in fits[1..].iter().zip(&sizes[1..]) {
+            let alone = example.lead(size).factor();
+            let residuals = &alone.residuals[..2 * 2100];
+            let (squares, trace) = (linalg::dot(residuals, residuals), alone.leverage.iter().sum::<f64>());
+            assert!((fit.squares / squares - 1.0).abs() < 1e-12);
+            assert!((fit.parameters - trace).abs() < 1e-12);
+            assert_eq!(fit.rank, size);
+            assert_close(&nested.coefficients(size), &alone.coefficients, 1e-12);
+        }
+        assert_eq!((fits[0].rank, fits[0].parameters), (0, 0.0));
+        assert_eq!(nested.fits(&[2, 1], &pool(1)).err(), Some(Error::Decreasing { index: 1 }));
+    }
+
+    /// They add no model; whatever is said of the others is said as if they were not there.
+    #[test]
+    fn columns_that_depend_on_those_before_are_left_out() {
+        let mut example = Example::new(30, 5, 2);
+        for matrix in [&mut example.design, &mut example.penalty] {
+            matrix.chunks_exact_mut(5).for_each(|row| (row[1], row[3]) = (0.0, row[0] - 2.0 * row[2]));
+        }
+        let nested = Nested::new(&example.problem(), &pool(1)).unwrap();
+        assert_eq!(nested.kept, [0, 2, 4]);
+        let problem = example.problem();
+        let independent = nested.independent(&problem);
+        let kept: Vec<f64> = example.design.chunks(5).flat_map(|row| [row[0], row[2], row[4]]).collect();
+        assert_eq!((independent.design, independent.columns), (&kept[..], 3));
+        let ranks: Vec<usize> =
+            nested.fits(&[1, 2, 3, 4, 5], &pool(1)).unwrap().iter().map(|fit| fit.rank).collect();
+        assert_eq!(ranks, [1, 1, 2, 2, 3]);
+        let coefficients = nested.coefficients(5);
+        let residual = |i: usize, c: usize| {
+            let row = example.design[5 * i..5 * i + 5].iter().zip(&coefficients[5 * c..5 * c + 5]);
+            example.responses[2 * i + c] - row.map(|(a, x)| a * x).sum::<f64>()
+        };
+        let found: Vec<f64> = (0..60).map(|k| residual(k / 2, k % 2)).collect();
+        assert_close(&found, &example.factor().plain_residuals(), 1e-12);
+        assert!([1, 3, 6, 8].iter().all(|&j| coefficients[j] == 0.0));
+        example.design.fill(0.0);
+        example.penalty.fill(0.0);
+        let nothing = Nested::new(&example.problem(), &pool(1)).unwrap();
+        assert_eq!(nothing.fits(&[5], &pool(1)).unwrap()[0].rank, 0);
+        assert!(nothing.coefficients(5).is_empty());
+    }
+
+    #[test]
+    fn squares_are_those_of_what_a_cut_leaves() {
+        let mut squares = [1.0; 4];
+        add_squares(
+            [5.0, 1.0],
+            &[[1.0, 0.0], [2.0, 1.0], [0.0, 3.0]],
+            &[2.0, 1.0, -1.0],
+            &[0, 1, 1, 3],
+            &mut squares,
+        );
+        // (5, 1), (3, 1) twice, (1, 3).
+        assert_eq!(squares, [27.0, 11.0, 11.0, 11.0]);
+    }
+}

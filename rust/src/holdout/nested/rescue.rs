@@ -190,3 +190,79 @@ impl Rescue<'_> {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::nested::curves::tests::{curves, refitted};
+    use crate::holdout::scheme::{Held, Scheme};
+    use crate::holdout::walk::Ground;
+    use crate::testing::{Example, assert_close, bits, pool, sets, singletons};
+
+    /// Nearly lost, all but lost, and lost beyond twice the digits: those of the last model. Equal sets of different
+    /// validated rows, in any order.
+    #[test]
+    fn curves_near_rank_loss_are_plain_refits() {
+        let held = sets([&[38, 39], &[39, 2, 38], &[2, 38, 39], &[39, 38], &[5]]);
+        let validated = sets([&[38], &[2, 39], &[38], &[39], &[5]]);
+        for (fraction, tolerance) in [(1e-3, 1e-10), (1e-5, 1e-10), (1e-8, 1e-7)] {
+            let example = Example::nearly_lost(40, 5, fraction);
+            let found = &curves(&example, &[(&held, &validated, None)], 1)[0];
+            let mut expected = [0.0; 5];
+            for pair in 0..5 {
+                let curve = refitted(&example, held.get(pair), validated.get(pair));
+                expected.iter_mut().zip(curve).for_each(|(sum, x)| *sum += x);
+            }
+            assert_close(&found.squares[..4], &expected[..4], 1e-12);
+            let error = (found.squares[4] / expected[4] - 1.0).abs();
+            assert!(error < tolerance, "{fraction}: {error}");
+        }
+    }
+
+    /// A set that comes again is neither updated nor factored again; another is, whatever it starts from.
+    #[test]
+    fn equal_sets_share_a_factor() {
+        let example = Example::nearly_lost(40, 5, 1e-5);
+        let (problem, rows) = (example.problem(), singletons(40));
+        let nested = Nested::new(&problem, &pool(1)).unwrap();
+        let held = sets([&[38, 39, 4], &[4, 38, 39], &[5, 38, 39], &[10, 11, 12, 38, 39], &[38, 39, 4]]);
+        let validated = sets([&[4], &[4], &[5], &[10], &[4]]);
+        let schemes = [Scheme { held: Held::Sets(&held), validated: &validated, order: None }];
+        let ground = Ground { factor: &nested.factor, schemes: &schemes, rows: &rows, hat: None };
+        let models = AllModels { ground: &ground, nested: &nested, cuts: &[1, 2, 3, 4, 5] };
+        let whole = nested.whole_gram(&pool(1)).unwrap();
+        let mut rescue = Rescue {
+            models: &models,
+            problem: nested.independent(&problem),
+            whole,
+            work: Workspace::new(40),
+            curve: PairCurve::new(5),
+            last: LastPair::default(),
+            factor: DdFactor::default(),
+            refit: Refit::default(),
+            solved: None,
+        };
+        let start = |rescue: &mut Rescue<'_>| {
+            rescue.last.clear(40);
+            rescue.last.gram.copy_from(whole);
+        };
+        start(&mut rescue);
+        let changes = [0, 1, 2, 3, 4].map(|pair| {
+            rescue.work.list_pair(&ground, 0, pair);
+            rescue.update_gram()
+        });
+        assert_eq!(changes, [true, false, true, true, true]);
+        start(&mut rescue);
+        let found = [0, 1, 2, 3, 4].map(|pair| {
+            assert_eq!(rescue.solve(Visited { scheme: 0, step: pair, pair }, &pool(1)), Ok(5));
+            assert!(matches!(rescue.solved, Some(Solved::TwiceTheDigits(5))));
+            assert_close(
+                &rescue.curve.squares,
+                &refitted(&example, held.get(pair), validated.get(pair)),
+                1e-11,
+            );
+            bits(&rescue.curve.squares)
+        });
+        assert_eq!(found[0], found[1]);
+    }
+}

@@ -198,3 +198,108 @@ fn batch(ground: &Ground<'_>) -> usize {
     let system = if dual <= primal { q * (q + terms) } else { factor.rank * factor.rank };
     (BATCH_NUMBERS / system.max(1)).clamp(1, BATCH_PAIRS)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::residuals::Predictions;
+    use crate::holdout::scheme::{Held, Scheme};
+    use crate::sets::Sets;
+    use crate::testing::{Example, assert_close, pool, sets, singletons, windows};
+
+    fn predict(example: &Example, pairs: &[(&Sets, &Sets)]) -> Predictions {
+        let scheme = |&(held, validated)| Scheme { held: Held::Sets(held), validated, order: None };
+        let (schemes, rows) = (pairs.iter().map(scheme).collect::<Vec<_>>(), singletons(example.rows));
+        example.factor().predict(&example.problem(), &schemes, &rows, &pool(2)).unwrap()
+    }
+
+    /// The closed form would have lost the digits that the fraction has, twice over.
+    #[test]
+    fn pairs_near_rank_loss_are_plain_refits() {
+        let some: Vec<usize> = (10..40).collect();
+        let held = sets([&[38, 39], &[3, 38, 39], &some]);
+        let validated = sets([&[39], &[38, 3], &[38, 12, 39]]);
+        let other = sets([&[39, 7, 38]]);
+        let ways = [
+            (1e-1, Status::Closed, 1e-13),
+            (2e-4, Status::Refined, 1e-11),
+            (1e-7, Status::Refitted, 1e-8),
+            (0.0, Status::Undefined, 0.0),
+        ];
+        for (fraction, status, tolerance) in ways {
+            let example = Example::nearly_lost(40, 5, fraction);
+            let found = predict(&example, &[(&held, &validated), (&other, &other)]);
+            assert_eq!(found.status, [status; 4]);
+            for pair in 0..4 {
+                let values = &found.residuals[2 * found.offsets[pair]..2 * found.offsets[pair + 1]];
+                let (held, validated, k) =
+                    if pair < 3 { (&held, &validated, pair) } else { (&other, &other, 0) };
+                assert_close(values, &example.refit(held.get(k), validated.get(k)), tolerance);
+            }
+        }
+    }
+
+    /// Whatever they validate, and in whatever order they list it; more sets than are refined together.
+    #[test]
+    fn pairs_that_hold_out_the_same_are_solved_once() {
+        for fraction in [1e-4, 1e-7] {
+            let example = Example::nearly_lost(80, 5, fraction);
+            let held: Sets =
+                (0..60).map(|i| [vec![78, i / 2, 79], vec![79, 78, i / 2]][i % 2].clone()).collect();
+            let validated: Sets = (0..60).map(|i| vec![[i / 2, 78][i % 2]]).collect();
+            let found = predict(&example, &[(&held, &validated)]);
+            for pair in 0..60 {
+                let (one, some) = (sets([held.get(pair)]), sets([validated.get(pair)]));
+                let alone = predict(&example, &[(&one, &some)]);
+                assert_eq!(alone.status[0], found.status[pair]);
+                assert_close(&found.residuals[2 * pair..2 * pair + 2], &alone.residuals, 1e-16 / fraction);
+            }
+            let (rows, factor) = (singletons(80), example.factor());
+            let schemes = [Scheme { held: Held::Sets(&held), validated: &validated, order: None }];
+            let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+            let places = Places { firsts: vec![0, 60], offsets: (0..=60).collect() };
+            let (mut residuals, mut status) = (vec![0.0; 120], vec![None; 60]);
+            status[4] = Some(Status::Closed);
+            let grouped = grouped(&ground, places.left(&ground, &mut residuals, &mut status));
+            let pairs: Vec<Vec<usize>> =
+                grouped.iter().map(|set| set.iter().map(|left| left.pair).collect()).collect();
+            let expected = (0..30).map(|i| if i == 2 { vec![5] } else { vec![2 * i, 2 * i + 1] });
+            assert_eq!(pairs, expected.collect::<Vec<_>>());
+            assert!(grouped.iter().flatten().all(|left| left.rows == validated.get(left.pair)));
+        }
+    }
+
+    /// The system at hand is the smaller one, and applies the same inverse.
+    #[test]
+    fn both_systems_know_how_near_rank_loss_a_set_is() {
+        let example = Example::nearly_lost(60, 8, 1e-3);
+        let (factor, rows) = (example.factor(), singletons(60));
+        for (reach, dual) in [(2, true), (20, false)] {
+            let held = windows(60, reach);
+            let schemes = [Scheme { held: Held::Sets(&held), validated: &rows, order: None }];
+            let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+            let mut work = Workspace::new(60);
+            for (pair, near) in [(59, true), (20, false)] {
+                work.list_pair(&ground, 0, pair);
+                let set = work.near_singular(&ground, &mut []);
+                assert_eq!(matches!(set.inverse, Inverse::Dual(..)), dual);
+                assert_eq!(set.least < 1e-3, near);
+                assert_eq!(set.rows.len(), held.get(pair).len());
+            }
+        }
+    }
+
+    /// The larger the systems, the fewer at once.
+    #[test]
+    fn systems_refined_at_once_fit_in_the_memory_meant_for_them() {
+        let (mut factor, rows) = (Example::new(60, 4, 1).factor(), singletons(60));
+        let held = windows(60, 20);
+        let schemes = [Scheme { held: Held::Sets(&held), validated: &rows, order: None }];
+        for (rank, count) in [(4, BATCH_PAIRS), (500, 16), (1000, 16), (5000, 16), (100_000, 1)] {
+            factor.rank = rank;
+            let found = batch(&Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None });
+            let system = 41 * (41 + rank);
+            assert_eq!(found, count.min((BATCH_NUMBERS / system.min(rank * rank)).max(1)));
+        }
+    }
+}

@@ -178,3 +178,84 @@ pub(super) fn refinable(factor: &Factor, least: f64) -> bool {
     let bound = factor.least * (REFINED_MIN_EIGENVALUE / 100.0).sqrt();
     least > REFINED_MIN_EIGENVALUE && bound > factor.tolerance * (factor.columns as f64).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::holdout::residuals::Status;
+    use crate::holdout::scheme::{Held, Scheme};
+    use crate::holdout::walk::{Ground, Workspace};
+    use crate::testing::{Example, assert_close, pool, sets, singletons};
+
+    /// The primal's inverse of M, and the dual's.
+    #[test]
+    fn two_systems_apply_one_inverse() {
+        let factor = Example::new(30, 6, 1).factor();
+        let rows = [3, 11, 27, 8];
+        let (mut primal, mut dual) = (Workspace::new(0), Workspace::new(0));
+        primal.rows = rows.to_vec();
+        primal.fresh_gram(&factor);
+        assert!(primal.factor_primal(&factor, 0, 0) > 0.0);
+        dual.rows = rows.to_vec();
+        dual.fill_dual(&factor, None, 4, 0);
+        assert!(dual.system.factor() > 0.0);
+        let x: Vec<f64> = (0..6).map(|j| f64::from(j * j) - 7.0).collect();
+        let [mut one, mut other] = [x.clone(), x.clone()];
+        Inverse::Primal(&mut primal.system).apply(&factor, &mut one);
+        Inverse::Dual(&mut dual.system, &rows).apply(&factor, &mut other);
+        assert_close(&one, &other, 1e-14);
+        // M times it is what it was.
+        let held: Vec<f64> = rows.iter().map(|&i| dot(factor.basis_row(i), &one)).collect();
+        let product =
+            |j: usize| one[j] - rows.iter().zip(&held).map(|(&i, z)| factor.basis_row(i)[j] * z).sum::<f64>();
+        assert_close(&(0..6).map(product).collect::<Vec<_>>(), &x, 1e-14);
+    }
+
+    /// Of more rows than a pass takes; sets far from rank loss and near it, and one beyond what steps can mend.
+    #[test]
+    fn several_sets_are_corrected_in_one_pass() {
+        let mut example = Example::nearly_lost(1200, 4, 1e-5);
+        example.root_weights.fill(1.0);
+        let (factor, rows) = (example.factor(), singletons(1200));
+        let held = sets([&[1198, 1199, 600], &[5, 6], &[0, 1199, 7, 1198, 500]]);
+        let schemes = [Scheme { held: Held::Sets(&held), validated: &held, order: None }];
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+        let mut works: Vec<Workspace> = (0..3).map(|_| Workspace::new(1200)).collect();
+        let mut residuals: Vec<Vec<f64>> = (0..3).map(|pair| vec![0.0; 2 * held.get(pair).len()]).collect();
+        let mut status: [Option<Status>; 3] = [None; 3];
+        let mut left: Vec<[Left<'_>; 1]> = residuals
+            .iter_mut()
+            .zip(&mut status)
+            .enumerate()
+            .map(|(pair, (residuals, status))| {
+                [Left { scheme: 0, pair, rows: held.get(pair).to_vec(), residuals, status }]
+            })
+            .collect();
+        let mut near: Vec<NearSingular<'_, '_>> = works
+            .iter_mut()
+            .zip(&mut left)
+            .enumerate()
+            .map(|(pair, (work, left))| {
+                work.list_pair(&ground, 0, pair);
+                work.near_singular(&ground, left)
+            })
+            .collect();
+        assert!(refinable(&factor, near[0].least) && near[0].least < 2e-7);
+        let good = Refiner::default().refine(&factor, &pool(1), &mut near).unwrap();
+        assert_eq!(good, [true; 3]);
+        for (pair, found) in residuals.iter().enumerate() {
+            let tolerance = if pair == 1 { 1e-14 } else { 1e-10 };
+            assert_close(found, &example.refit(held.get(pair), held.get(pair)), tolerance);
+        }
+    }
+
+    #[test]
+    fn of_too_near_a_set_the_basis_has_too_few_digits() {
+        let mut factor = Example::new(30, 4, 1).factor();
+        assert!(refinable(&factor, 2.0 * REFINED_MIN_EIGENVALUE));
+        assert!(!refinable(&factor, 0.5 * REFINED_MIN_EIGENVALUE));
+        // The training rows of an ill-conditioned design may have lost rank.
+        factor.least = 1e-10;
+        assert!(!refinable(&factor, 1e-3));
+    }
+}

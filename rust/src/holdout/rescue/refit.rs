@@ -219,3 +219,78 @@ impl Refit {
         Ok(numerical_rank(&values, factor.tolerance))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Example, assert_close, pool};
+
+    /// Weighted residuals, of more rows than are reduced at a time.
+    #[test]
+    fn residuals_are_those_of_the_training_rows_fit() {
+        let example = Example::new(1300, 5, 2);
+        let (factor, problem, mut refit) = (example.factor(), example.problem(), Refit::default());
+        for rows in [&[0, 700, 1299, 3][..], &[], &[600]] {
+            assert!(refit.refit(&factor, &problem, &pool(1), rows).unwrap());
+            let some = [0, 1299, 20];
+            let mut found = vec![0.0; 6];
+            refit.residuals(&factor, &problem, &some, &mut found).unwrap();
+            let mut expected = example.refit(rows, &some);
+            expected.iter_mut().enumerate().for_each(|(k, e)| *e *= example.root_weights[some[k / 2]]);
+            assert_close(&found, &expected, 1e-13);
+        }
+    }
+
+    /// A column that only two rows see, and fewer rows than columns.
+    #[test]
+    fn training_rows_that_lose_rank_have_no_fit() {
+        for (fraction, defined) in [(1e-12, true), (1e-17, false), (0.0, false)] {
+            let example = Example::nearly_lost(20, 4, fraction);
+            let (factor, problem, mut refit) = (example.factor(), example.problem(), Refit::default());
+            assert_eq!(refit.refit(&factor, &problem, &pool(1), &[18, 19]), Ok(defined));
+            assert_eq!(refit.refit(&factor, &problem, &pool(1), &[18]), Ok(true));
+            let most: Vec<usize> = (0..17).collect();
+            assert_eq!(refit.refit(&factor, &problem, &pool(1), &most), Ok(false));
+            let leading = refit.reduce_leading(&factor, &problem, &pool(1), &[19, 18]).unwrap();
+            assert_eq!(leading, if defined { 4 } else { 3 });
+        }
+    }
+
+    /// `1 + |R^-T x|^2` is the spread of a row alone; `u . v` is what the training rows' leading models predict.
+    #[test]
+    fn the_triangle_serves_spreads_and_leading_models() {
+        let example = Example::new(40, 4, 2);
+        let (factor, problem, mut refit) = (example.factor(), example.problem(), Refit::default());
+        let held = [7, 21, 30];
+        let mut spread = [0.0; 4];
+        refit.spread(&factor, &problem, &pool(1), (&held, 2), &mut spread).unwrap();
+        assert_eq!(refit.reduce_leading(&factor, &problem, &pool(1), &held), Ok(4));
+        for c in 0..2 {
+            let (b, u, v) = refit.forward_solve(&factor, &problem, 7, c, 4).unwrap();
+            assert!((spread[0] - 1.0 - dot(u, u)).abs() < 1e-14 * spread[0]);
+            assert_eq!(b, example.responses[14 + c] * example.root_weights[7]);
+            for size in 1..=4 {
+                let expected = example.lead(size).refit(&held, &[7])[c] * example.root_weights[7];
+                assert!((b - dot(&u[..size], &v[..size]) - expected).abs() < 1e-13);
+            }
+        }
+        // The inverse of I - H_KK, of which it is a part.
+        let mut whole = [0.0; 9];
+        refit.spread(&factor, &problem, &pool(1), (&held, 3), &mut whole).unwrap();
+        assert_close(&spread, &[whole[0], whole[1], whole[3], whole[4]], 1e-14);
+        let h = |i: usize, j: usize| dot(factor.basis_row(held[i]), factor.basis_row(held[j]));
+        let entry =
+            |i: usize, j: usize| whole[3 * i + j] - (0..3).map(|k| h(i, k) * whole[3 * k + j]).sum::<f64>();
+        let product: Vec<f64> = (0..9).map(|at| entry(at / 3, at % 3)).collect();
+        assert_close(&product, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 1e-14);
+    }
+
+    #[test]
+    fn a_problem_that_has_changed_is_noticed() {
+        let mut example = Example::new(40, 4, 2);
+        let factor = example.factor();
+        example.design[9] += 1.0;
+        let found = Refit::default().refit(&factor, &example.problem(), &pool(1), &[0]);
+        assert_eq!(found, Err(Error::Changed { row: 2 }));
+    }
+}

@@ -174,3 +174,47 @@ impl Change<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{bits, noise, pool};
+
+    /// Integers beyond what plain numbers hold exactly: sums of their products, of more rows than a part has.
+    #[test]
+    fn entries_are_exact_sums_of_products() {
+        for (order, responses) in [(1, 1), (7, 3), (9, 0), (16, 2)] {
+            let rows = PART_ROWS + 70;
+            let integers = |count: usize, seed: u64| -> Vec<i128> {
+                noise(count, seed).iter().map(|x| (x * 1e12) as i128).collect()
+            };
+            let (basis, right) = (integers(rows * order, 1), integers(rows * responses, 2));
+            // At the size of unit columns; powers of two cost no digit.
+            let size = (-44.0_f64).exp2();
+            let plain = |values: &[i128]| values.iter().map(|&x| x as f64 * size).collect::<Vec<f64>>();
+            let (q, b) = (plain(&basis), plain(&right));
+            let fetch = |i: usize| (&q[i * order..(i + 1) * order], &b[i * responses..(i + 1) * responses]);
+            let [mut gram, other] =
+                [1, 3].map(|threads| DdGram::whole(&q, order, &b, responses, &pool(threads)).unwrap());
+            assert_eq!((bits(&gram.hi), bits(&gram.lo)), (bits(&other.hi), bits(&other.lo)));
+            // Out and in again, but for two rows.
+            let some: Vec<usize> = (3..200).collect();
+            gram.change(&some, -1.0, fetch);
+            gram.change(&some[..195], 1.0, fetch);
+            let held = [198, 199];
+            let entry = |i: usize, k: usize| match k.checked_sub(order) {
+                None => basis[i * order + k],
+                Some(c) => right[i * responses + c],
+            };
+            for k in 0..order + responses {
+                for j in 0..order.min(k + 1) {
+                    let training = (0..rows).filter(|i| !held.contains(i));
+                    let sum: i128 = training.map(|i| entry(i, k) * entry(i, j)).sum();
+                    let at = (k / PANEL * order + j) * PANEL + k % PANEL;
+                    let [hi, lo] = [gram.hi[at], gram.lo[at]].map(|x| (x / size / size) as i128);
+                    assert!((hi + lo - sum).abs() <= 1 << 20, "{order} {k} {j}: {}", hi + lo - sum);
+                }
+            }
+        }
+    }
+}
