@@ -26,7 +26,7 @@ pub fn cardinal(kernels: &[f64], affine: &[f64], order: usize, pool: &Pool<'_>) 
     let split = Split::new(affine, order, width, pool)?;
     let side = split.columns(width..order, pool)?;
     let count = order - width;
-    let lower = definite(kernels, &side, order, count)?;
+    let lower = definite(kernels, &side, order, count, pool)?;
     let mut rows = linalg::transposed(&side, order);
     linalg::solve_lower(&lower, count, &mut rows, order);
     let bending = linalg::transposed(&rows, count);
@@ -50,7 +50,7 @@ pub fn leading(kernels: &[f64], weights: &[f64], order: usize, pool: &Pool<'_>) 
     let count = weights.len() / order.max(1);
     let split = Split::new(weights, order, count, pool)?;
     let side = split.columns(0..count, pool)?;
-    let lower = definite(kernels, &side, order, count)?;
+    let lower = definite(kernels, &side, order, count, pool)?;
     let upper = linalg::transposed(&lower, count);
     Ok(linalg::product(&upper, &split.triangle(), count, count, count))
 }
@@ -72,10 +72,16 @@ pub fn reduced(rows: &[f64], affine: &[f64], order: usize, pool: &Pool<'_>) -> R
 }
 
 /// The factor of `U^T K U`, lower.
-fn definite(kernels: &[f64], side: &[f64], order: usize, count: usize) -> Result<Vec<f64>, Error> {
+fn definite(
+    kernels: &[f64],
+    side: &[f64],
+    order: usize,
+    count: usize,
+    pool: &Pool<'_>,
+) -> Result<Vec<f64>, Error> {
     let product = linalg::product(kernels, side, order, order, count);
     let gram = linalg::product(&linalg::transposed(side, order), &product, count, order, count);
-    panels::cholesky(gram, count).ok_or(Error::TooNear)
+    panels::cholesky(gram, count, pool)?.ok_or(Error::TooNear)
 }
 
 /// A matrix, reflected to a triangle.

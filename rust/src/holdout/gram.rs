@@ -39,6 +39,17 @@ impl Gram {
         }
     }
 
+    /// No matrix: many are never needed, and zeros of hundreds of columns take longer than small sets.
+    pub fn clear(&mut self) {
+        (self.order, self.border) = (0, 0);
+        self.panels.clear();
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.panels.is_empty()
+    }
+
     fn entry(&mut self, row: usize, column: usize) -> &mut f64 {
         &mut self.panels[(row / PANEL * self.order + column) * PANEL + row % PANEL]
     }

@@ -179,7 +179,7 @@ impl Workspace {
         self.members.resize(schemes.max(self.members.len()), Vec::new());
         for last in &mut self.last[..schemes] {
             last.clear(ground.rows.len());
-            last.gram.start(ground.factor.rank, ground.factor.responses);
+            last.gram.clear();
         }
         self.factored = None;
     }
@@ -205,7 +205,7 @@ impl Workspace {
             let rows = changed as f64 * self.rows.len() as f64 / self.members[k].len().max(1) as f64;
             let p = ground.factor.rank as f64;
             if !question.dual(self, at, p * p * (rows / 2.0 + p / 6.0), answer) {
-                if changed > 0 || inner {
+                if changed > 0 || inner || self.last[k].gram.is_empty() {
                     self.update_gram(ground, k, inner);
                     self.factored = None;
                 }
@@ -260,7 +260,7 @@ impl Workspace {
         let (before, rest) = last.split_at_mut(k);
         let last = &mut rest[0];
         let change = if inner { ring } else { slide };
-        if change.len() > members[k].len() {
+        if change.len() >= members[k].len() {
             last.gram.start(factor.rank, factor.responses);
             change.removed.clear();
             change.added.clone_from(&members[k]);
