@@ -110,6 +110,8 @@ def penalty_rows(penalty: ArrayLike, p: int) -> Floats:
 def _penalise(penalty: ArrayLike, p: int, exponent: int) -> Floats:
     """Penalty rows, scaled to match weights that are divided by a power of four."""
     rows = penalty_rows(penalty, p)
+    if exponent == 0:  # a copy of millions of rows takes long
+        return rows
     with np.errstate(over="ignore"):
         scaled = np.ldexp(rows, -exponent)
     if not np.isfinite(scaled).all():
