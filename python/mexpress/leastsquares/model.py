@@ -87,8 +87,8 @@ class LeastSquares:
     Parameters
     ----------
     A : (m, p) array
-        Design matrix. The model keeps `A`, `b` and `penalty` without a copy if they are float64 arrays in C order: do not
-        change them while the model is in use.
+        Design matrix. The model keeps `A`, `b` and `penalty` without a copy if they are float64 arrays in C order: do
+        not change them while the model is in use.
     b : (m,) or (m, r) array
         Responses; r responses share the design (equation 4).
     coupling : int or (m,) int array, default 1
