@@ -304,9 +304,8 @@ def sets(
     """Sets of indices from 0 to bound - 1 in compressed rows, increasing in each."""
     cuts = integers(offsets, name, "Its offsets must be whole numbers.")
     entries = integers(members, name, "Its indices must be whole numbers.")
-    if not _core.are_sets(
-        cuts.view(np.uintp), entries.view(np.uintp), LARGEST_INDEX + 1 if bound is None else bound
-    ):
+    most = LARGEST_INDEX + 1 if bound is None else min(bound, LARGEST_INDEX + 1)
+    if not _core.are_sets(cuts.view(np.uintp), entries.view(np.uintp), most):
         _refuse_sets(cuts, entries, name, bound)
     return cuts, entries
 
