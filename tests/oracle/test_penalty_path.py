@@ -269,3 +269,16 @@ def test_weights_of_the_data_are_those_of_refits(family, coupling, responses, si
             cv = fit.model.cross_validate(scheme)
             assert cv.score == pytest.approx(here.score(scheme), rel=1e-9), name
             np.testing.assert_allclose(cv.residuals, direct.cross_validate(scheme).residuals, atol=1e-7)
+
+
+@pytest.mark.parametrize("weight", [1e3, 5e6, 1e9])
+def test_control_points_without_data_do_not_set_the_unit(weight):
+    # Their columns are not zero, but rounding: their ratios to those of the penalty mean nothing.
+    rng = np.random.default_rng(3)
+    x = rng.uniform(size=38)
+    A = np.column_stack([1 - x, x, 1e-3 * x * (1 - x), 1e-19 * rng.uniform(size=(38, 13))])
+    b, Z = 40_000 + 1000 * x + rng.normal(size=38), 5e-6 * np.diff(np.eye(16), 2, axis=0)
+    folds = mx.schemes.k_fold(38, 5, seed=0)
+    found = PenaltyPath(A, b, 1, Z).fit(weight).model.cross_validate(folds).residuals
+    expected = mx.LeastSquares(A, b, penalty=np.sqrt(weight) * Z).cross_validate(folds).residuals
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())

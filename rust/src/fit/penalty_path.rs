@@ -240,12 +240,16 @@ fn separate(
 /// A sine above this has lost less than a digit to the cosine.
 const SMALL_SINE: f64 = 0.1;
 
+/// Columns of the design that are this much shorter, beside those of the penalty, than the longest one, are rounding: control
+/// points without data.
+const UNSEEN: f64 = 1e-10;
+
 /// A power of two by which columns of the penalty become about as long as those of the design, in the geometric mean: what
 /// is soft and what is stiff then lose the same digits, and units of columns do not matter.
 fn balance(columns: &[Column]) -> f64 {
-    let ratios =
-        columns.iter().map(|column| column.design / column.penalty).filter(|ratio| ratio.is_normal());
-    let logarithms: Vec<f64> = ratios.map(f64::log2).collect();
+    let ratios = || columns.iter().map(|c| c.design / c.penalty).filter(|ratio| ratio.is_normal());
+    let largest = ratios().fold(0.0, f64::max);
+    let logarithms: Vec<f64> = ratios().filter(|&ratio| ratio > UNSEEN * largest).map(f64::log2).collect();
     let mean = logarithms.iter().sum::<f64>() / logarithms.len().max(1) as f64;
     // Entries of other columns must not overflow.
     mean.round().clamp(-400.0, 400.0).exp2()
