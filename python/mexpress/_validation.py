@@ -152,13 +152,16 @@ def _in_order(array: NDArray[Any]) -> NDArray[Any]:
     return array if flags.c_contiguous and flags.aligned else np.require(array, None, ["C", "A"])
 
 
-def finite(array: Floats, name: str, rule: str = "Its entries must be finite.") -> Floats:
+FINITE_RULE = "Its entries must be finite."
+
+
+def finite(array: Floats, name: str, rule: str = FINITE_RULE) -> Floats:
     """The array itself, if all entries are finite; the message names the first other entry."""
     _largest(array, name, rule)
     return array
 
 
-def _largest(array: Floats, name: str, rule: str = "Its entries must be finite.") -> float:
+def _largest(array: Floats, name: str, rule: str = FINITE_RULE) -> float:
     """The largest absolute value of an array whose entries must be finite."""
     largest = _core.largest(array.reshape(-1))
     if math.isfinite(largest):

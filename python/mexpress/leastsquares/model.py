@@ -328,7 +328,7 @@ class LeastSquares:
         _expect_scheme(self, scheme)
         validated, rows = scheme.validated, self._coupling
         workers = check.threads(threads)
-        flat = self._factor.spread(*scheme.sets, rows.arrays, workers)
+        flat = self._factor.spread((scheme.sets, None), rows.arrays, workers)
         ends = np.concatenate([[0], np.cumsum(rows.sizes[validated.indices])])[validated.offsets]
         return _square_blocks(flat, np.diff(ends))
 

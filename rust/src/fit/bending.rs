@@ -103,11 +103,7 @@ impl Split {
     /// Its upper triangle, square.
     fn triangle(&self) -> Vec<f64> {
         let (rows, columns) = self.shape;
-        let entry = |k: usize| {
-            let (j, i) = (k / columns, k % columns);
-            if i <= j { self.reflected[j * rows + i] } else { 0.0 }
-        };
-        (0..columns * columns).map(entry).collect()
+        linalg::upper_triangle(&self.reflected, rows, columns)
     }
 
     /// Columns of its orthogonal factor: the first span its own, the others the complement.

@@ -264,6 +264,13 @@ pub fn solve_lower(lower: &[f64], order: usize, x: &mut [f64], width: usize) {
     );
 }
 
+/// The upper triangle of a matrix of some height, square, with zeros below.
+pub fn upper_triangle(a: &[f64], height: usize, columns: usize) -> Vec<f64> {
+    (0..columns)
+        .flat_map(|j| (0..columns).map(move |i| if i <= j { a[j * height + i] } else { 0.0 }))
+        .collect()
+}
+
 /// A matrix of columns (rows) of some length with its rows (columns) for them.
 pub fn transposed(a: &[f64], length: usize) -> Vec<f64> {
     (0..length).flat_map(|i| a.iter().skip(i).step_by(length)).copied().collect()

@@ -45,7 +45,7 @@ impl Spectrum {
         // 1 / ||R^-1|| is below the smallest singular value and sqrt(columns) above the largest, so most designs
         // pass without a decomposition.
         let bound = if size == columns { linalg::inverse_norm(&r, columns, pool)?.recip() } else { 0.0 };
-        let triangular = || Inverse::Triangle(stack_triangle(stack, height, columns));
+        let triangular = || Inverse::Triangle(linalg::upper_triangle(stack, height, columns));
         if bound > 2.0 * tolerance * (columns as f64).sqrt() {
             let inverse = triangular();
             return Ok(Self {
@@ -103,12 +103,6 @@ fn unit_triangle(stack: &[f64], height: usize, size: usize, columns: usize) -> (
         }
     }
     (r, scales)
-}
-
-fn stack_triangle(stack: &[f64], height: usize, columns: usize) -> Vec<f64> {
-    (0..columns)
-        .flat_map(|j| (0..columns).map(move |i| if i <= j { stack[j * height + i] } else { 0.0 }))
-        .collect()
 }
 
 /// A triangle whose rank took a singular value decomposition, cut to that rank.

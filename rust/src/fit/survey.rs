@@ -60,14 +60,13 @@ impl Problem<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::AtomicBool;
-
     use super::*;
+    use crate::testing::{Example, pool};
 
     fn survey(design: &[f64], columns: usize, responses: &[f64], penalty: &[f64], threads: usize) -> Survey {
         let rows = design.len() / columns;
         let problem = Problem { design, responses, root_weights: None, penalty, rows, columns };
-        Survey::new(&problem, &Pool::new(threads, &AtomicBool::new(false))).unwrap()
+        Survey::new(&problem, &pool(threads)).unwrap()
     }
 
     #[test]
@@ -93,5 +92,25 @@ mod tests {
         let mut changed = responses.clone();
         changed[7] = -changed[7];
         assert_ne!(survey(&design, 9, &changed, &[], 1).fingerprints[7], found[7]);
+    }
+
+    #[test]
+    fn any_digit_of_a_row_changes_its_print() {
+        let example = Example::new(10, 6, 2);
+        let print = |example: &Example| example.problem().fingerprint(3, 2);
+        let before = print(&example);
+        for k in 0..9 {
+            let mut changed = example.clone();
+            let x = match k {
+                0..6 => &mut changed.design[18 + k],
+                6..8 => &mut changed.responses[k],
+                _ => &mut changed.root_weights[3],
+            };
+            *x = f64::from_bits(x.to_bits() ^ 1);
+            assert_ne!(print(&changed), before, "number {k}");
+        }
+        let mut elsewhere = example.clone();
+        elsewhere.design[0] += 1.0;
+        assert_eq!(print(&elsewhere), before);
     }
 }

@@ -13,21 +13,20 @@ impl Factor {
             let errors = listed.zip(residuals.chunks_exact(self.responses));
             errors.flat_map(move |(&row, errors)| errors.iter().map(move |e| root(row) * e.abs()))
         };
-        root_mean(sizes, self.weight(rows, &validated.items))
+        root_mean(sizes, self.weight(rows, validated.items.iter().copied()))
     }
 
     /// E of `E^2 = sum w ||e||^2 / sum w` over all data, which have these rows, with the residuals e of the fit.
     pub fn fit_rms(&self, rows: &Sets<'_>) -> f64 {
         let residuals = &self.residuals[..self.rows * self.responses];
-        let data: Vec<usize> = (0..rows.len()).collect();
-        root_mean(|| residuals.iter().map(|e| e.abs()), self.weight(rows, &data))
+        root_mean(|| residuals.iter().map(|e| e.abs()), self.weight(rows, 0..rows.len()))
     }
 
     /// The sum of the weights of data.
-    fn weight(&self, rows: &Sets<'_>, data: &[usize]) -> f64 {
+    fn weight(&self, rows: &Sets<'_>, data: impl ExactSizeIterator<Item = usize>) -> f64 {
         match &self.root_weights {
             None => data.len() as f64,
-            Some(roots) => sum(data.iter().map(|&datum| roots[rows.get(datum)[0]].powi(2))),
+            Some(roots) => sum(data.map(|datum| roots[rows.get(datum)[0]].powi(2))),
         }
     }
 }
@@ -56,11 +55,9 @@ fn sum(terms: impl Iterator<Item = f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::AtomicBool;
-
     use super::*;
     use crate::fit::factor::Problem;
-    use crate::pool::Pool;
+    use crate::testing::pool;
 
     /// The score of residuals of data that have two rows, and two responses each.
     fn score(root_weights: Option<&[f64]>, validated: Vec<usize>, residuals: &[f64]) -> f64 {
@@ -73,7 +70,7 @@ mod tests {
             rows: 6,
             columns: 1,
         };
-        let factor = Factor::new(&problem, &Pool::new(1, &AtomicBool::new(false))).unwrap();
+        let factor = Factor::new(&problem, &pool(1)).unwrap();
         let rows: Sets = [vec![0, 1], vec![2, 3], vec![4, 5]].into_iter().collect();
         factor.score(&rows, &[validated].into_iter().collect(), residuals)
     }
@@ -99,9 +96,7 @@ mod tests {
             columns: 1,
         };
         let alone: Sets = (0..3).map(|i| vec![i]).collect();
-        let fit_rms = |problem: &Problem<'_>| {
-            Factor::new(problem, &Pool::new(1, &AtomicBool::new(false))).unwrap().fit_rms(&alone)
-        };
+        let fit_rms = |problem: &Problem<'_>| Factor::new(problem, &pool(1)).unwrap().fit_rms(&alone);
         assert!((fit_rms(&problem) - (14.0_f64 / 3.0).sqrt()).abs() < 1e-14);
         // The mean is 4.5.
         problem.root_weights = Some(&roots);

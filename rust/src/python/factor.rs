@@ -11,7 +11,7 @@ use super::problem::KeptArrays;
 use super::scheme::{Listing, ReadScheme};
 use crate::fit::factor;
 use crate::holdout::residuals::{Predictions, Status};
-use crate::holdout::scheme::{Held, Scheme};
+use crate::holdout::scheme::Scheme;
 use crate::sets::Sets;
 
 /// Score, residuals, their rows and pairs, and the pairs that are undefined.
@@ -93,17 +93,15 @@ impl Factor {
     fn spread<'py>(
         &self,
         py: Python<'py>,
-        held: ReadSets<'py>,
-        validated: ReadSets<'py>,
+        scheme: ReadScheme<'py>,
         rows: ReadSets<'py>,
         threads: usize,
     ) -> PyResult<Array1<'py, f64>> {
-        let (held, validated, rows) = (held.sets()?, validated.sets()?, rows.sets()?);
-        let scheme = Scheme { held: Held::Sets(&held), validated: &validated, order: None };
+        let (listing, rows) = (scheme.listing()?, rows.sets()?);
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         let blocks = interruptible(py, f64::INFINITY, threads, |pool| {
-            self.fit.spread(&problem, &scheme, &rows, pool)
+            self.fit.spread(&problem, &listing.scheme(), &rows, pool)
         })?;
         Ok(PyArray1::from_vec(py, blocks))
     }
