@@ -5,9 +5,11 @@
 //! that are small beside others keep their digits, which reflections lose.
 
 use crate::error::Error;
-use crate::fit::factor::Problem;
+use crate::fit::factor::{Basis, Problem, weighted_responses};
+use crate::fit::linalg;
 use crate::fit::panels::{self, BLOCK, Lanes, PANEL};
 use crate::fit::rank::Spectrum;
+use crate::fit::residuals::{Part, Remainder, Step};
 use crate::pool::Pool;
 
 /// Pivots of a Gram matrix of unit columns, squares, below which the second time would not be enough either.
@@ -21,29 +23,41 @@ fn task_rows(rows: usize) -> usize {
     (rows / 64).next_multiple_of(BLOCK).max(8 * BLOCK)
 }
 
-/// An orthonormal basis of the columns, row-major, and what their triangle tells; none if digits would be lost.
+/// An orthonormal basis of the columns, as many as its rank; none if digits would be lost.
 pub(super) fn orthonormal(
     problem: &Problem<'_>,
     scales: &[f64],
     pool: &Pool<'_>,
-) -> Result<Option<(Vec<f64>, Spectrum)>, Error> {
+) -> Result<Option<Basis>, Error> {
     let (rows, columns) = (problem.total_rows(), problem.columns);
     // Rows that fill no panel take no longer to reflect.
     if rows < columns.max(PANEL) {
         return Ok(None);
     }
     let mut tasks = Tasks::new(rows, columns);
-    let gram = tasks.gram(pool, |first, block| load(problem, scales, first, block))?;
+    let (gram, _) = tasks.gram(0, pool, |first, block, _| {
+        panels::pack(|i| problem.row(i), rows, scales, first, block);
+    })?;
     let Some(coarse) = unit_cholesky(gram, columns, pool)? else { return Ok(None) };
-    let gram = tasks.gram(pool, |_, block| panels::solve(&coarse, columns, columns, block))?;
+    let responses = problem.responses.len() / problem.rows;
+    let (gram, mut projection) = tasks.gram(responses, pool, |first, block, sums| {
+        panels::solve(&coarse, columns, columns, block);
+        project(problem, responses, first, block, sums);
+    })?;
     if distance_to_identity(&gram, columns) > FARTHEST {
         return Ok(None);
     }
     let Some(fine) = panels::cholesky(gram, columns, pool)? else { return Ok(None) };
-    let basis = tasks.rows(pool, |block| panels::solve(&fine, columns, columns, block))?;
+    linalg::solve_lower(&fine, columns, &mut projection, responses);
+    let mut remainder = Remainder::new((weighted_responses(problem, responses), responses), (rows, columns));
+    let step = Step { taken: Some(&projection), project: true };
+    let basis = tasks.rows(remainder.parts(task_rows(rows)), step, pool, |block| {
+        panels::solve(&fine, columns, columns, block);
+    })?;
+    let residuals = remainder.finish(&basis, projection, pool)?;
     let triangle = triangle(&coarse, &fine, columns, pool)?;
     let spectrum = Spectrum::new(&triangle, columns, columns, rows, pool)?;
-    Ok((spectrum.rank == columns).then_some((basis, spectrum)))
+    Ok((spectrum.rank == columns).then_some(Basis { rows: basis, spectrum, residuals }))
 }
 
 /// A matrix in panels, cut into tasks of some blocks.
@@ -60,51 +74,58 @@ impl Tasks {
     }
 
     /// Changes every block, given its first row, and returns the lower triangle of the Gram matrix of all that results,
-    /// column-major.
+    /// column-major, and the total of what the changes add to sums, some for every column.
     fn gram(
         &mut self,
+        sums: usize,
         pool: &Pool<'_>,
-        change: impl Fn(usize, &mut [Lanes]) + Sync,
-    ) -> Result<Vec<f64>, Error> {
+        change: impl Fn(usize, &mut [Lanes], &mut [f64]) + Sync,
+    ) -> Result<(Vec<f64>, Vec<f64>), Error> {
         let (task, columns, square) = (task_rows(self.rows), self.columns, self.columns * self.columns);
-        let mut parts = vec![0.0; self.rows.div_ceil(task) * square];
+        let size = square + sums * columns;
+        let mut parts = vec![0.0; self.rows.div_ceil(task) * size];
         pool.run(
-            self.storage.chunks_mut(task * columns).zip(parts.chunks_exact_mut(square)).enumerate(),
+            self.storage.chunks_mut(task * columns).zip(parts.chunks_exact_mut(size)).enumerate(),
             || (),
             |(), (k, (rows, part))| {
+                let (gram, sums) = part.split_at_mut(square);
                 // Once called off, nobody reads the result.
                 let called =
                     rows.chunks_mut(BLOCK * columns).enumerate().take_while(|_| pool.proceed().is_ok());
                 for (l, block) in called {
                     let (block, _) = block.as_chunks_mut();
-                    change(k * task + l * BLOCK, block);
-                    panels::add_gram(block, columns, part);
+                    change(k * task + l * BLOCK, block, sums);
+                    panels::add_gram(block, columns, gram);
                 }
             },
         )?;
-        let (sum, rest) = parts.split_at_mut(square);
-        for part in rest.chunks_exact(square) {
-            sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+        let (total, rest) = parts.split_at_mut(size);
+        for part in rest.chunks_exact(size) {
+            total.iter_mut().zip(part).for_each(|(total, part)| *total += part);
         }
-        parts.truncate(square);
-        Ok(parts)
+        parts.truncate(size);
+        let sums = parts.split_off(square);
+        Ok((parts, sums))
     }
 
-    /// Changes every block, and returns the matrix row by row.
-    fn rows(self, pool: &Pool<'_>, change: impl Fn(&mut [Lanes]) + Sync) -> Result<Vec<f64>, Error> {
+    /// Changes every block, and returns the matrix row by row, with which a part of a remainder takes a step on the way.
+    fn rows(
+        self,
+        parts: Vec<Part<'_>>,
+        step: Step<'_>,
+        pool: &Pool<'_>,
+        change: impl Fn(&mut [Lanes]) + Sync,
+    ) -> Result<Vec<f64>, Error> {
         let Self { mut storage, rows, columns } = self;
-        pool.run(storage.chunks_mut(task_rows(rows) * columns), Vec::new, |scratch, rows| {
+        let tasks = storage.chunks_mut(task_rows(rows) * columns).zip(parts);
+        pool.run(tasks.collect::<Vec<_>>().into_iter(), Vec::new, |scratch, (rows, mut part)| {
             for block in rows.chunks_mut(BLOCK * columns).take_while(|_| pool.proceed().is_ok()) {
-                change(block.as_chunks_mut().0);
+                let (panels, _) = block.as_chunks_mut();
+                change(panels);
                 scratch.clear();
-                scratch.extend_from_slice(block);
-                let (panels, _) = scratch.as_chunks::<PANEL>();
-                for (panel, rows) in panels.chunks_exact(columns).zip(block.chunks_exact_mut(PANEL * columns))
-                {
-                    for (lane, row) in rows.chunks_exact_mut(columns).enumerate() {
-                        row.iter_mut().zip(panel).for_each(|(x, lanes)| *x = lanes[lane]);
-                    }
-                }
+                scratch.extend_from_slice(panels);
+                panels::unpack(scratch, columns, block);
+                part.step(step, block);
             }
         })?;
         storage.truncate(rows * columns);
@@ -112,19 +133,15 @@ impl Tasks {
     }
 }
 
-/// Rows `first..` of `[W^1/2 A; Z]` with scaled columns, in panels.
-fn load(problem: &Problem<'_>, scales: &[f64], first: usize, block: &mut [Lanes]) {
-    let total = problem.total_rows();
-    for (k, panel) in block.chunks_exact_mut(scales.len()).enumerate() {
-        let first = first + k * PANEL;
-        let there = PANEL.min(total - first);
-        // Rows beyond the last repeat it, with no weight.
-        let rows: [_; PANEL] = std::array::from_fn(|lane| problem.row(first + lane.min(there - 1)));
-        let weights: Lanes = std::array::from_fn(|lane| if lane < there { rows[lane].1 } else { 0.0 });
-        let rows = rows.map(|(row, _)| &row[..scales.len()]);
-        for (j, (lanes, scale)) in panel.iter_mut().zip(scales).enumerate() {
-            *lanes = std::array::from_fn(|lane| rows[lane][j] * scale * weights[lane]);
-        }
+/// Adds the products of a block's columns with the weighted responses of its rows to sums, columns x responses.
+fn project(problem: &Problem<'_>, responses: usize, first: usize, block: &[Lanes], sums: &mut [f64]) {
+    // Penalty rows respond with zero.
+    let there = problem.rows.saturating_sub(first).min(BLOCK).div_ceil(PANEL);
+    if responses * there > 0 {
+        let mut right = vec![[0.0; PANEL]; there * responses];
+        let row = |i| (problem.responses_of(i, responses), problem.row(i).1);
+        panels::pack(row, problem.rows, &vec![1.0; responses], first, &mut right);
+        panels::add_products(block, problem.columns, &right, responses, sums);
     }
 }
 
@@ -197,7 +214,9 @@ mod tests {
     }
 
     fn basis(design: &[f64], columns: usize, threads: usize) -> Option<(Vec<f64>, Spectrum)> {
-        orthonormal(&problem(design, columns), &vec![1.0; columns], &Pool::new(threads, &NEVER)).unwrap()
+        let pool = Pool::new(threads, &NEVER);
+        let found = orthonormal(&problem(design, columns), &vec![1.0; columns], &pool).unwrap();
+        found.map(|basis| (basis.rows, basis.spectrum))
     }
 
     /// R, column-major, of what was found.
@@ -247,8 +266,33 @@ mod tests {
         let weights: Vec<f64> = (1..=40).map(f64::from).collect();
         let given = Problem { root_weights: Some(&weights), penalty: &z, ..problem(&a, 3) };
         let whole: Vec<f64> = a.iter().enumerate().map(|(k, x)| x * weights[k / 3]).chain(z).collect();
-        let (q, _) = orthonormal(&given, &[1.0; 3], &Pool::new(1, &NEVER)).unwrap().unwrap();
-        assert_eq!(q, basis(&whole, 3, 1).unwrap().0);
+        let found = orthonormal(&given, &[1.0; 3], &Pool::new(1, &NEVER)).unwrap().unwrap();
+        assert_eq!(found.rows, basis(&whole, 3, 1).unwrap().0);
+    }
+
+    #[test]
+    fn responses_are_projected_on_the_way() {
+        for rows in [40, 128, 137, 3000_usize] {
+            let (a, z) = (design(rows, 3, |_| 1.0), [0.5, 0.0, 0.0, 0.0, 0.25, 1.0]);
+            let weights: Vec<f64> = (0..rows).map(|i| 1.0 + (i % 7) as f64).collect();
+            let responses: Vec<f64> = (0..2 * rows).map(|k| (k as f64).sin()).collect();
+            let given = Problem {
+                responses: &responses,
+                root_weights: Some(&weights),
+                penalty: &z,
+                ..problem(&a, 3)
+            };
+            for threads in [1, 3] {
+                let found = orthonormal(&given, &[1.0; 3], &Pool::new(threads, &NEVER)).unwrap().unwrap();
+                let projection = found.residuals.projection;
+                for (k, x) in projection.iter().enumerate() {
+                    let (c, j) = (k / 3, k % 3);
+                    let terms = (0..rows).map(|i| found.rows[3 * i + j] * weights[i] * responses[2 * i + c]);
+                    assert!((x - terms.sum::<f64>()).abs() < 1e-12, "{rows} rows, {c} {j}");
+                }
+                assert_eq!(projection.len(), 6);
+            }
+        }
     }
 
     #[test]

@@ -107,15 +107,27 @@ enum Coordinates {
     Basis,
 }
 
-/// An orthonormal basis of the columns, row-major, and what their triangle tells.
-pub(super) fn orthonormal(
-    problem: &Problem<'_>,
-    scales: &[f64],
-    pool: &Pool<'_>,
-) -> Result<(Vec<f64>, Spectrum), Error> {
-    match cholesky_qr::orthonormal(problem, scales, pool)? {
-        Some(found) => Ok(found),
-        None => householder::orthonormal(problem, scales, pool),
+/// An orthonormal basis of a design's columns.
+pub(super) struct Basis {
+    /// Row by row, as wide as the rank.
+    pub rows: Vec<f64>,
+    /// What their triangle tells.
+    pub spectrum: Spectrum,
+    /// What it takes from the weighted responses, and leaves.
+    pub residuals: Residuals,
+}
+
+impl Basis {
+    /// Of the columns of a problem, scaled.
+    pub fn new(problem: &Problem<'_>, scales: &[f64], pool: &Pool<'_>) -> Result<Self, Error> {
+        if let Some(basis) = cholesky_qr::orthonormal(problem, scales, pool)? {
+            return Ok(basis);
+        }
+        let (rows, spectrum) = householder::orthonormal(problem, scales, pool)?;
+        let responses = problem.responses.len() / problem.rows;
+        let weighted = (weighted_responses(problem, responses), responses);
+        let residuals = Residuals::new(weighted, (&rows, spectrum.rank), None, pool)?;
+        Ok(Self { rows, spectrum, residuals })
     }
 }
 
@@ -124,8 +136,8 @@ impl Factor {
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
         let Survey { scales, fingerprints } = Survey::new(problem, pool)?;
-        let (basis, spectrum) = orthonormal(problem, &scales, pool)?;
-        let mut factor = Self::fit(problem, (basis, spectrum.rank), None, fingerprints, pool)?;
+        let Basis { rows, spectrum, residuals } = Basis::new(problem, &scales, pool)?;
+        let mut factor = Self::fitted(problem, (rows, spectrum.rank), residuals, fingerprints);
         factor.coefficients = spectrum.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(problem.columns) {
             column.iter_mut().zip(&scales).for_each(|(x, s)| *x *= s);
@@ -151,7 +163,11 @@ impl Factor {
         fingerprints: Vec<u64>,
         pool: &Pool<'_>,
     ) -> Result<Self, Error> {
-        let mut factor = Self::fit(problem, (basis, rank), Some(projection), fingerprints, pool)?;
+        let responses = problem.responses.len() / problem.rows;
+        let mut weighted = weighted_responses(problem, responses);
+        weighted.resize(basis.len().checked_div(rank).unwrap_or(problem.total_rows()) * responses, 0.0);
+        let residuals = Residuals::new((weighted, responses), (&basis, rank), Some(projection), pool)?;
+        let mut factor = Self::fitted(problem, (basis, rank), residuals, fingerprints);
         factor.columns = rank;
         factor.coefficients.clone_from(&factor.projection);
         factor.least = 1.0;
@@ -163,28 +179,22 @@ impl Factor {
         Ok(factor)
     }
 
-    /// What a basis tells of the responses, without coefficients; their projection may be known.
-    fn fit(
+    /// Of a basis and what it leaves of the responses, without coefficients.
+    fn fitted(
         problem: &Problem<'_>,
         (basis, rank): (Vec<f64>, usize),
-        projection: Option<Vec<f64>>,
+        residuals: Residuals,
         fingerprints: Vec<u64>,
-        pool: &Pool<'_>,
-    ) -> Result<Self, Error> {
+    ) -> Self {
         let Problem { rows, columns, .. } = *problem;
-        let responses = problem.responses.len() / rows;
-        let total_rows = basis.len().checked_div(rank).unwrap_or(problem.total_rows());
-        let mut weighted = weighted_responses(problem, responses);
-        weighted.resize(total_rows * responses, 0.0);
-        let Residuals { left, projection, mut leverage } =
-            Residuals::new((weighted, responses), (&basis, rank), projection, pool)?;
+        let Residuals { left, projection, mut leverage } = residuals;
         leverage.resize(rows, 0.0);
-        Ok(Self {
+        Self {
             rows,
             columns,
-            responses,
+            responses: problem.responses.len() / rows,
             rank,
-            total_rows,
+            total_rows: basis.len().checked_div(rank).unwrap_or(problem.total_rows()),
             basis,
             triangle: Vec::new(),
             least: 0.0,
@@ -197,7 +207,7 @@ impl Factor {
             leverage,
             projection,
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
-        })
+        }
     }
 
     /// The lambda_min(M) from which the closed form holds, M of a pair being `I - Q_K^T Q_K`: its error is about

@@ -17,6 +17,49 @@ pub(super) const BLOCK: usize = 128;
 /// A panel's column.
 pub(super) type Lanes = [f64; PANEL];
 
+/// Rows `first..`, each with a weight, in panels of scaled columns; those beyond the `total` stay zero.
+pub(super) fn pack<'a>(
+    row: impl Fn(usize) -> (&'a [f64], f64),
+    total: usize,
+    scales: &[f64],
+    first: usize,
+    panels: &mut [Lanes],
+) {
+    for (first, panel) in (first..total).step_by(PANEL).zip(panels.chunks_exact_mut(scales.len())) {
+        let there = PANEL.min(total - first);
+        // Rows beyond the last repeat it, with no weight.
+        let rows: [_; PANEL] = std::array::from_fn(|lane| row(first + lane.min(there - 1)));
+        let weights = std::array::from_fn(|lane| if lane < there { rows[lane].1 } else { 0.0 });
+        let rows = rows.map(|(row, _)| &row[..scales.len()]);
+        Arch::new().dispatch(Pack { rows, weights, scales, panel });
+    }
+}
+
+/// The rows that panels of some columns hold, one after another.
+pub(super) fn unpack(panels: &[Lanes], columns: usize, rows: &mut [f64]) {
+    Arch::new().dispatch(Unpack { panels, columns, rows });
+}
+
+/// Adds `X^T Y` to `sums` (column-major) for panels of X, of some columns, and panels of Y, of a width.
+pub(super) fn add_products(
+    panels: &[Lanes],
+    columns: usize,
+    right: &[Lanes],
+    width: usize,
+    sums: &mut [f64],
+) {
+    for (c, sums) in sums.chunks_exact_mut(columns).enumerate() {
+        for (j, sum) in sums.iter_mut().enumerate() {
+            let mut lanes = [0.0; PANEL];
+            let factors = right.iter().skip(c).step_by(width);
+            for (x, y) in panels.iter().skip(j).step_by(columns).zip(factors) {
+                lanes.iter_mut().zip(x).zip(y).for_each(|((lane, x), y)| *lane += x * y);
+            }
+            *sum += lanes.iter().sum::<f64>();
+        }
+    }
+}
+
 /// Adds the lower triangle of `X^T X` to `gram` (columns x columns, column-major), for whole panels of X.
 pub(super) fn add_gram(panels: &[Lanes], columns: usize, gram: &mut [f64]) {
     Arch::new().dispatch(AddGram { panels, columns, gram });
@@ -25,7 +68,8 @@ pub(super) fn add_gram(panels: &[Lanes], columns: usize, gram: &mut [f64]) {
 /// `X <- X L^-T` for panels of some columns, with L the leading lower triangle of a column-major matrix of `order` rows.
 pub(super) fn solve(lower: &[f64], order: usize, columns: usize, panels: &mut [Lanes]) {
     if columns > 0 {
-        Arch::new().dispatch(Solve { lower, order, columns, panels });
+        let inverses = lower.iter().step_by(order + 1).take(columns).map(|pivot| pivot.recip()).collect();
+        Arch::new().dispatch(Solve { lower, order, columns, inverses, panels });
     }
 }
 
@@ -68,6 +112,66 @@ pub(super) fn cholesky(mut a: Vec<f64>, order: usize, pool: &Pool<'_>) -> Result
         column[..j].fill(0.0);
     }
     Ok(Some(a))
+}
+
+struct Pack<'a> {
+    rows: [&'a [f64]; PANEL],
+    weights: Lanes,
+    scales: &'a [f64],
+    panel: &'a mut [Lanes],
+}
+
+impl WithSimd for Pack<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { rows, weights, scales, panel } = self;
+        let (squares, rest) = panel.as_chunks_mut::<PANEL>();
+        let whole = PANEL * squares.len();
+        for (j, square) in (0..whole).step_by(PANEL).zip(squares) {
+            let scales = &scales[j..j + PANEL];
+            *square = transposed(&std::array::from_fn(|lane| {
+                let row = &rows[lane][j..j + PANEL];
+                std::array::from_fn(|k| row[k] * scales[k] * weights[lane])
+            }));
+        }
+        for (j, lanes) in (whole..).zip(rest) {
+            *lanes = std::array::from_fn(|lane| rows[lane][j] * scales[j] * weights[lane]);
+        }
+    }
+}
+
+struct Unpack<'a> {
+    panels: &'a [Lanes],
+    columns: usize,
+    rows: &'a mut [f64],
+}
+
+impl WithSimd for Unpack<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { panels, columns, rows } = self;
+        for (panel, rows) in panels.chunks_exact(columns).zip(rows.chunks_exact_mut(PANEL * columns)) {
+            let (squares, rest) = panel.as_chunks::<PANEL>();
+            let whole = PANEL * squares.len();
+            for (j, square) in (0..whole).step_by(PANEL).zip(squares) {
+                for (row, part) in rows.chunks_exact_mut(columns).zip(transposed(square)) {
+                    row[j..j + PANEL].copy_from_slice(&part);
+                }
+            }
+            for (lane, row) in rows.chunks_exact_mut(columns).enumerate() {
+                row[whole..].iter_mut().zip(rest).for_each(|(x, lanes)| *x = lanes[lane]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn transposed(square: &[Lanes; PANEL]) -> [Lanes; PANEL] {
+    std::array::from_fn(|j| std::array::from_fn(|i| square[i][j]))
 }
 
 /// Columns of a Gram matrix that stay in the cache while all others pass by.
@@ -137,6 +241,8 @@ struct Solve<'a> {
     lower: &'a [f64],
     order: usize,
     columns: usize,
+    /// One over each pivot: a product takes a fraction of a quotient's time, and columns wait for one another.
+    inverses: Vec<f64>,
     panels: &'a mut [Lanes],
 }
 
@@ -145,12 +251,12 @@ impl WithSimd for Solve<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // Columns at once, as many as the registers hold sums of.
+        // Panels and columns at once, as many as the registers hold sums of.
         match S::F64_LANES {
-            8 => self.run::<S, 1, 8>(simd),
-            4 => self.run::<S, 2, 4>(simd),
-            2 => self.run::<S, 4, 2>(simd),
-            _ => self.run::<S, 8, 1>(simd),
+            8 => self.run::<S, 1, 4, 4>(simd),
+            4 => self.run::<S, 2, 2, 2>(simd),
+            2 => self.run::<S, 4, 1, 2>(simd),
+            _ => self.run::<S, 8, 1, 1>(simd),
         }
     }
 }
@@ -158,25 +264,37 @@ impl WithSimd for Solve<'_> {
 impl Solve<'_> {
     /// `V` vectors make a panel's column.
     #[inline(always)]
-    fn run<S: Simd, const V: usize, const C: usize>(self, simd: S) {
-        for panel in self.panels.chunks_exact_mut(self.columns) {
-            for first in (0..self.columns).step_by(C) {
-                let mut sums = [[simd.splat_f64s(0.0); V]; C];
-                let rows = self.lower[first..].chunks(self.order);
-                let (known, rest) = panel.split_at_mut(first);
-                for (lanes, factors) in known.iter().zip(rows) {
-                    add::<S, V, C>(simd, &mut sums, vectors::<S, V>(lanes), leading(factors));
-                }
-                for (c, target) in rest.iter_mut().enumerate().take(C) {
-                    let factors = leading::<C>(&self.lower[(first + c) * self.order + first..]);
-                    let pivot = simd.splat_f64s(factors[c]);
-                    let mut solved = vectors::<S, V>(target);
+    fn run<S: Simd, const V: usize, const R: usize, const C: usize>(mut self, simd: S) {
+        let panels = std::mem::take(&mut self.panels);
+        let (together, alone) = panels.split_at_mut(panels.len() / (R * self.columns) * R * self.columns);
+        for panels in together.chunks_exact_mut(R * self.columns) {
+            self.solve::<S, V, R, C>(simd, panels);
+        }
+        for panel in alone.chunks_exact_mut(self.columns) {
+            self.solve::<S, V, 1, C>(simd, panel);
+        }
+    }
+
+    /// Solves `R` panels side by side.
+    #[inline(always)]
+    fn solve<S: Simd, const V: usize, const R: usize, const C: usize>(&self, simd: S, panels: &mut [Lanes]) {
+        let columns = self.columns;
+        for first in (0..columns).step_by(C) {
+            let mut sums = [[[simd.splat_f64s(0.0); V]; R]; C];
+            for (k, factors) in self.lower[first..].chunks(self.order).take(first).enumerate() {
+                let x = std::array::from_fn(|r| vectors::<S, V>(&panels[r * columns + k]));
+                add::<S, V, R, C>(simd, &mut sums, x, leading(factors));
+            }
+            for (c, k) in (first..columns).enumerate().take(C) {
+                let inverse = simd.splat_f64s(self.inverses[k]);
+                let mut x = std::array::from_fn(|r| vectors::<S, V>(&panels[r * columns + k]));
+                for (r, x) in x.iter_mut().enumerate() {
                     for v in 0..V {
-                        solved[v] = simd.div_f64s(simd.sub_f64s(solved[v], sums[c][v]), pivot);
+                        x[v] = simd.mul_f64s(simd.sub_f64s(x[v], sums[c][r][v]), inverse);
                     }
-                    S::as_mut_simd_f64s(target).0.copy_from_slice(&solved);
-                    add::<S, V, C>(simd, &mut sums, solved, factors);
+                    S::as_mut_simd_f64s(&mut panels[r * columns + k]).0.copy_from_slice(x);
                 }
+                add::<S, V, R, C>(simd, &mut sums, x, leading(&self.lower[k * self.order + first..]));
             }
         }
     }
@@ -191,18 +309,20 @@ fn leading<const C: usize>(row: &[f64]) -> [f64; C] {
     }
 }
 
-/// Adds the products of a panel's column with factors to a sum each.
+/// Adds the products of panels' columns with factors to a sum each.
 #[inline(always)]
-fn add<S: Simd, const V: usize, const C: usize>(
+fn add<S: Simd, const V: usize, const R: usize, const C: usize>(
     simd: S,
-    sums: &mut [[S::f64s; V]; C],
-    x: [S::f64s; V],
+    sums: &mut [[[S::f64s; V]; R]; C],
+    x: [[S::f64s; V]; R],
     factors: [f64; C],
 ) {
     for c in 0..C {
         let factor = simd.splat_f64s(factors[c]);
-        for v in 0..V {
-            sums[c][v] = simd.mul_add_f64s(x[v], factor, sums[c][v]);
+        for r in 0..R {
+            for v in 0..V {
+                sums[c][r][v] = simd.mul_add_f64s(x[r][v], factor, sums[c][r][v]);
+            }
         }
     }
 }

@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use crate::error::Error;
-use crate::fit::factor::{Factor, Problem, orthonormal, weighted_responses};
+use crate::fit::factor::{Basis, Factor, Problem, weighted_responses};
 use crate::fit::householder;
 use crate::fit::linalg::{self, Svd};
 use crate::fit::residuals::Residuals;
@@ -55,8 +55,9 @@ impl PenaltyPath {
         // scales would round otherwise.
         let Survey { scales, fingerprints } = Survey::new(&design, pool)?;
         let (basis, triangle) = if rows > TALL * width {
-            let (basis, spectrum) = orthonormal(&design, &scales, pool)?;
-            (Some(basis), spectrum.rows())
+            let alone = Problem { responses: &[], ..design };
+            let Basis { rows, spectrum, .. } = Basis::new(&alone, &scales, pool)?;
+            (Some(rows), spectrum.rows())
         } else {
             (None, scaled_rows(problem, &scales, 0..rows))
         };

@@ -2,10 +2,10 @@
 
 use std::iter::repeat_with;
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
-use crate::fit::linalg::{self, dot};
+use crate::fit::linalg::dot;
 use crate::pool::Pool;
 
 /// Responses b in an orthonormal basis Q.
@@ -27,69 +27,144 @@ impl Residuals {
         pool: &Pool<'_>,
     ) -> Result<Self, Error> {
         let rows = basis.len().checked_div(rank).unwrap_or(0);
-        let mut residuals = Self { left: responses, projection: Vec::new(), leverage: vec![0.0; rows] };
-        let project = |block: Block<'_>| {
-            linalg::transposed_product(block.basis, block.residuals, rank, width, block.sum);
-        };
-        let subtract = |block: &mut Block<'_>, projection: &[f64]| {
-            for (e, q) in block.residuals.chunks_exact_mut(width.max(1)).zip(block.basis.chunks_exact(rank)) {
-                e.iter_mut().zip(projection.chunks_exact(rank)).for_each(|(e, c)| *e -= dot(q, c));
+        let mut remainder = Remainder::new((responses, width), (rows, rank));
+        let known = match known {
+            Some(projection) => projection,
+            None => {
+                remainder.pass(basis, Step { taken: None, project: true }, pool)?;
+                remainder.projection()
             }
         };
-        let mut projection = match known {
-            Some(projection) => projection,
-            None => residuals.pass(basis, (rank, width), pool, project)?,
-        };
-        // Once more: residuals far smaller than the responses keep a part in Q that is rounding of the responses.
-        let rest = residuals.pass(basis, (rank, width), pool, |mut block| {
-            block.leverage.iter_mut().zip(block.basis.chunks_exact(rank)).for_each(|(h, q)| *h = dot(q, q));
-            subtract(&mut block, &projection);
-            project(block);
-        })?;
-        residuals.pass(basis, (rank, width), pool, |mut block| subtract(&mut block, &rest))?;
-        projection.iter_mut().zip(&rest).for_each(|(c, rest)| *c += rest);
-        Ok(Self { projection, ..residuals })
+        remainder.pass(basis, Step { taken: Some(&known), project: true }, pool)?;
+        remainder.finish(basis, known, pool)
+    }
+}
+
+/// What is left of responses while more and more is taken.
+pub(super) struct Remainder {
+    rank: usize,
+    width: usize,
+    left: Vec<f64>,
+    leverage: Vec<f64>,
+    /// Projections, one a part.
+    sums: Vec<f64>,
+}
+
+impl Remainder {
+    /// All of the responses, for a basis of so many rows and of this rank.
+    pub fn new((responses, width): (Vec<f64>, usize), (rows, rank): (usize, usize)) -> Self {
+        Self { rank, width, left: responses, leverage: vec![0.0; rows], sums: Vec::new() }
     }
 
-    /// Works on every block; returns the total of what the blocks leave in `sum`. Blocks stay in the cache meanwhile, and depend
-    /// on the shape alone, so that no sum depends on who computes it.
-    fn pass(
-        &mut self,
-        basis: &[f64],
-        (rank, width): (usize, usize),
-        pool: &Pool<'_>,
-        work: impl Fn(Block<'_>) + Sync,
-    ) -> Result<Vec<f64>, Error> {
-        let rows = (CACHED / rank.max(1)).max(16);
-        let mut sums = vec![vec![0.0; rank * width]; self.leverage.len().div_ceil(rows)];
+    /// All rows in parts of so many, on which steps go on alone. They depend on the shape alone, so that no sum depends on
+    /// who computes it.
+    pub fn parts(&mut self, rows: usize) -> Vec<Part<'_>> {
+        let Self { rank, width, .. } = *self;
+        self.sums.clear();
+        self.sums.resize(self.leverage.len().div_ceil(rows) * rank * width, 0.0);
         // Without responses there is nothing to cut.
-        let residuals = self.left.chunks_mut((rows * width).max(1)).chain(repeat_with(Default::default));
-        let blocks = basis.chunks((rows * rank).max(1)).zip(residuals).zip(self.leverage.chunks_mut(rows));
-        let blocks = blocks.zip(&mut sums).map(|(((basis, residuals), leverage), sum)| Block {
-            basis,
-            residuals,
-            leverage,
-            sum,
-        });
-        let blocks: Vec<Block<'_>> = blocks.collect();
-        pool.run(blocks.into_iter(), Arch::new, |arch, block| arch.dispatch(|| work(block)))?;
-        let mut total = vec![0.0; rank * width];
-        for sum in &sums {
+        let sums = self.sums.chunks_mut((rank * width).max(1)).chain(repeat_with(Default::default));
+        let left = self.left.chunks_mut((rows * width).max(1)).chain(repeat_with(Default::default));
+        let parts = self.leverage.chunks_mut(rows).zip(left).zip(sums);
+        parts.map(|((leverage, left), sum)| Part { rank, width, left, leverage, sum }).collect()
+    }
+
+    /// What the last steps projected.
+    fn projection(&self) -> Vec<f64> {
+        let mut total = vec![0.0; self.rank * self.width];
+        for sum in self.sums.chunks_exact(total.len().max(1)) {
             total.iter_mut().zip(sum).for_each(|(total, x)| *total += x);
         }
-        Ok(total)
+        total
+    }
+
+    /// Takes a step with all rows.
+    fn pass(&mut self, basis: &[f64], step: Step<'_>, pool: &Pool<'_>) -> Result<(), Error> {
+        let rows = (CACHED / self.rank.max(1)).max(16);
+        let tasks = basis.chunks((rows * self.rank).max(1)).zip(self.parts(rows));
+        pool.run(tasks.collect::<Vec<_>>().into_iter(), || (), |(), (basis, mut part)| part.step(step, basis))
+    }
+
+    /// After what is `known` of the projection was taken, and the rest projected: residuals far smaller than the responses
+    /// keep a part in Q that is rounding of the responses.
+    pub fn finish(mut self, basis: &[f64], known: Vec<f64>, pool: &Pool<'_>) -> Result<Residuals, Error> {
+        let rest = self.projection();
+        self.pass(basis, Step { taken: Some(&rest), project: false }, pool)?;
+        let projection = known.iter().zip(&rest).map(|(known, rest)| known + rest).collect();
+        Ok(Residuals { left: self.left, projection, leverage: self.leverage })
     }
 }
 
 /// Numbers of a basis that stay in the cache.
 const CACHED: usize = 1 << 15;
 
-/// Some rows of a basis, what is left of their responses, their squared lengths, and the block's part of a sum.
-struct Block<'a> {
-    basis: &'a [f64],
-    residuals: &'a mut [f64],
+/// What is done with every row: what its responses have along the basis, given their projection, is taken; what is left
+/// is projected, and the row's length measured.
+#[derive(Clone, Copy)]
+pub(super) struct Step<'a> {
+    pub taken: Option<&'a [f64]>,
+    pub project: bool,
+}
+
+/// Successive rows to come.
+pub(super) struct Part<'a> {
+    rank: usize,
+    width: usize,
+    left: &'a mut [f64],
     leverage: &'a mut [f64],
     sum: &'a mut [f64],
+}
+
+impl Part<'_> {
+    /// Goes on by the rows of a basis, or by as many as there are.
+    pub fn step(&mut self, step: Step<'_>, basis: &[f64]) {
+        let rows = (basis.len() / self.rank).min(self.leverage.len());
+        let (leverage, later) = std::mem::take(&mut self.leverage).split_at_mut(rows);
+        self.leverage = later;
+        let (left, later) = std::mem::take(&mut self.left).split_at_mut(rows * self.width);
+        self.left = later;
+        Arch::new().dispatch(Take {
+            step,
+            shape: (self.rank, self.width),
+            basis,
+            left,
+            leverage,
+            sum: self.sum,
+        });
+    }
+}
+
+struct Take<'a> {
+    step: Step<'a>,
+    /// Rank and responses.
+    shape: (usize, usize),
+    basis: &'a [f64],
+    left: &'a mut [f64],
+    leverage: &'a mut [f64],
+    sum: &'a mut [f64],
+}
+
+impl WithSimd for Take<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { step, shape: (rank, width), basis, left, leverage, sum } = self;
+        for (i, (row, leverage)) in basis.chunks_exact(rank).zip(leverage).enumerate() {
+            if step.project {
+                *leverage = dot(row, row);
+            }
+            for (c, left) in left[i * width..(i + 1) * width].iter_mut().enumerate() {
+                let along = c * rank..(c + 1) * rank;
+                if let Some(taken) = step.taken {
+                    *left -= dot(row, &taken[along.clone()]);
+                }
+                if step.project {
+                    sum[along].iter_mut().zip(row).for_each(|(sum, q)| *sum += q * *left);
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]

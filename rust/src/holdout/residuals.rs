@@ -6,7 +6,7 @@
 //! [`Bordered`](crate::holdout::kernel::Bordered). A smallest eigenvalue near zero says that the training rows barely
 //! determine the model: see [`crate::holdout::rescue`].
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
@@ -254,15 +254,30 @@ impl Question for LastModel<'_> {
 
 /// Residuals of response c of rows, given the change `z` of its coefficients in the basis.
 fn predict_rows(factor: &Factor, rows: &[usize], z: &[f64], c: usize, out: &mut [f64]) {
-    let batches = rows.chunks(BATCH).zip(out.chunks_mut(BATCH * factor.responses));
-    Arch::new().dispatch(|| {
-        for (batch, out) in batches {
-            touch(batch.iter().map(|&row| factor.basis_row(row)));
-            for (&row, out) in batch.iter().zip(out.chunks_exact_mut(factor.responses)) {
-                out[c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
-            }
+    for (rows, out) in rows.chunks(BATCH).zip(out.chunks_mut(BATCH * factor.responses)) {
+        touch(rows.iter().map(|&row| factor.basis_row(row)));
+        Arch::new().dispatch(Predict { factor, rows, z, c, out });
+    }
+}
+
+struct Predict<'a> {
+    factor: &'a Factor,
+    rows: &'a [usize],
+    z: &'a [f64],
+    c: usize,
+    out: &'a mut [f64],
+}
+
+impl WithSimd for Predict<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { factor, rows, z, c, out } = self;
+        for (&row, out) in rows.iter().zip(out.chunks_exact_mut(factor.responses)) {
+            out[c] = factor.residual_row(row)[c] - dot(factor.basis_row(row), z);
         }
-    });
+    }
 }
 
 /// Brings residuals of rows from weighted to plain units.
