@@ -48,16 +48,7 @@ pub(super) fn add_products(
     width: usize,
     sums: &mut [f64],
 ) {
-    for (c, sums) in sums.chunks_exact_mut(columns).enumerate() {
-        for (j, sum) in sums.iter_mut().enumerate() {
-            let mut lanes = [0.0; PANEL];
-            let factors = right.iter().skip(c).step_by(width);
-            for (x, y) in panels.iter().skip(j).step_by(columns).zip(factors) {
-                lanes.iter_mut().zip(x).zip(y).for_each(|((lane, x), y)| *lane += x * y);
-            }
-            *sum += lanes.iter().sum::<f64>();
-        }
-    }
+    Arch::new().dispatch(AddProducts { panels, columns, right, width, sums });
 }
 
 /// Adds the lower triangle of `X^T X` to `gram` (columns x columns, column-major), for whole panels of X.
@@ -174,6 +165,33 @@ fn transposed(square: &[Lanes; PANEL]) -> [Lanes; PANEL] {
     std::array::from_fn(|j| std::array::from_fn(|i| square[i][j]))
 }
 
+struct AddProducts<'a> {
+    panels: &'a [Lanes],
+    columns: usize,
+    right: &'a [Lanes],
+    width: usize,
+    sums: &'a mut [f64],
+}
+
+impl WithSimd for AddProducts<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { panels, columns, right, width, sums } = self;
+        for (c, sums) in sums.chunks_exact_mut(columns).enumerate() {
+            for (j, sum) in sums.iter_mut().enumerate() {
+                let mut lanes = [0.0; PANEL];
+                for (panel, right) in panels.chunks_exact(columns).zip(right.chunks_exact(width)) {
+                    let (x, y) = (panel[j], right[c]);
+                    lanes = std::array::from_fn(|lane| lanes[lane] + x[lane] * y[lane]);
+                }
+                *sum += lanes.iter().sum::<f64>();
+            }
+        }
+    }
+}
+
 /// Columns of a Gram matrix that stay in the cache while all others pass by.
 const GROUP: usize = 24;
 
@@ -285,16 +303,18 @@ impl Solve<'_> {
                 let x = std::array::from_fn(|r| vectors::<S, V>(&panels[r * columns + k]));
                 add::<S, V, R, C>(simd, &mut sums, x, leading(factors));
             }
-            for (c, k) in (first..columns).enumerate().take(C) {
+            for k in first..columns.min(first + C) {
                 let inverse = simd.splat_f64s(self.inverses[k]);
                 let mut x = std::array::from_fn(|r| vectors::<S, V>(&panels[r * columns + k]));
                 for (r, x) in x.iter_mut().enumerate() {
                     for v in 0..V {
-                        x[v] = simd.mul_f64s(simd.sub_f64s(x[v], sums[c][r][v]), inverse);
+                        x[v] = simd.mul_f64s(simd.sub_f64s(x[v], sums[0][r][v]), inverse);
                     }
                     S::as_mut_simd_f64s(&mut panels[r * columns + k]).0.copy_from_slice(x);
                 }
-                add::<S, V, R, C>(simd, &mut sums, x, leading(&self.lower[k * self.order + first..]));
+                add::<S, V, R, C>(simd, &mut sums, x, leading(&self.lower[k * self.order + k..]));
+                // The next column's sum always comes first: which one a number tells would be looked up in memory.
+                sums = std::array::from_fn(|c| sums[(c + 1).min(C - 1)]);
             }
         }
     }
