@@ -31,6 +31,9 @@ LARGEST_PARAMETER = 1e306
 
 LARGEST_INDEX = 2**63 - 1
 
+# What Python counts with, but no number.
+_TRUTH = (bool, np.bool_)
+
 
 def refuse(name: str, rule: str, given: str, error: type[Exception] = ValueError) -> NoReturn:
     """Raise the error of all checks."""
@@ -339,22 +342,25 @@ def items(value: Any, name: str, rule: str) -> list[Any]:
 
 def count(value: Any, name: str, low: int, high: int | None = None) -> int:
     """Whole number from low to high."""
-    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
-    rule = f"It must be a whole number {limits}."
     try:
         number = operator.index(value)
     except TypeError:
-        refuse(name, rule, describe(value), TypeError)
-    if isinstance(value, bool | np.bool_):
-        refuse(name, rule, describe(value), TypeError)
+        number = None
+    if number is None or isinstance(value, _TRUTH):
+        refuse(name, _count_rule(low, high), describe(value), TypeError)
     if number < low or (high is not None and number > high):
-        refuse(name, rule, describe(value))
+        refuse(name, _count_rule(low, high), describe(value))
     return number
+
+
+def _count_rule(low: int, high: int | None) -> str:
+    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+    return f"It must be a whole number {limits}."
 
 
 def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False) -> float:
     """Finite number of at least low, or above low if strict."""
-    if isinstance(value, str | bytes | bool | np.bool_):
+    if isinstance(value, (str, bytes, *_TRUTH)):
         refuse(name, rule, describe(value), TypeError)
     try:
         result = float(value)
@@ -367,7 +373,7 @@ def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False
 
 def flag(value: Any, name: str) -> bool:
     """True or False."""
-    if not isinstance(value, bool | np.bool_):
+    if not isinstance(value, _TRUTH):
         refuse(name, "It must be True or False.", describe(value), TypeError)
     return bool(value)
 

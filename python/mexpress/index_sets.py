@@ -84,7 +84,8 @@ def compress(sets: Iterable[Integers]) -> IndexSets:
 
 def singletons(n: int) -> IndexSets:
     """One set for each of n indices."""
-    return IndexSets(np.arange(n + 1), np.arange(n))
+    steps = np.arange(n + 1)
+    return IndexSets(steps, steps[:-1])
 
 
 def checked(sets: Any, name: str, bound: int | None = None) -> IndexSets:

@@ -104,13 +104,20 @@ class Scheme:
             order = check.indices(order, "order", len(held))
             if len(order) != len(held):
                 check.refuse("order", f"It must have all {len(held)} pairs.", f"{len(order)} of them")
-        for name, value in (("n_data", n), ("held_out", held), ("validated", validated), ("order", order)):
-            object.__setattr__(self, name, value)
+        vars(self).update(n_data=n, held_out=held, validated=validated, order=order)
+
+    @classmethod
+    def _of(cls, n: int, held: IndexSets, validated: IndexSets, order: Integers | None = None) -> Scheme:
+        """The scheme that a builder has made: right by construction, so that nothing is checked."""
+        scheme = object.__new__(cls)
+        vars(scheme).update(n_data=n, held_out=held, validated=validated, order=order)
+        return scheme
 
     @property
     def sets(self) -> tuple[CoreSets, CoreSets]:
         """Arguments for the core: what is held out, and what is validated."""
-        return self.held_out.arrays, self.validated.arrays
+        held = self.held_out.arrays
+        return held, held if self.validated is self.held_out else self.validated.arrays
 
     @property
     def visiting_order(self) -> Integers:
@@ -250,7 +257,7 @@ class Places:
         except ValueError as error:
             rule = "Their neighbourhoods must fit in memory: hold out fewer."
             check.refuse("points", rule, f"{n} points with {error}")
-        return Scheme(n, neighbourhoods, singletons(n), self.order)
+        return Scheme._of(n, neighbourhoods, singletons(n), self.order)
 
 
 def _checked_radius(radius: float) -> float:
@@ -280,8 +287,9 @@ def leave_one_out(n: int) -> Scheme:
     >>> mx.schemes.leave_one_out(3)
     Scheme(3 pairs over 3 data, 1 held out)
     """
-    sets = singletons(check.count(n, "n", 1))
-    return Scheme(len(sets), sets, sets)
+    n = check.count(n, "n", 1)
+    sets = singletons(n)
+    return Scheme._of(n, sets, sets)
 
 
 def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
@@ -305,7 +313,7 @@ def k_fold(n: int, k: int, seed: Any = None) -> Scheme:
     n = check.count(n, "n", 2)
     k = check.count(k, "k", 2, n)
     sets = compress(np.array_split(check.generator(seed).permutation(n), k))
-    return Scheme(n, sets, sets)
+    return Scheme._of(n, sets, sets)
 
 
 def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = None) -> Scheme:
@@ -467,7 +475,7 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
         if total > MOST_INDICES:
             rule = f"The sets must fit in {MOST_INDICES} indices: take less."
             check.refuse("tau", rule, f"{tau}, with more than that for {i + 1} of {count} data")
-    return Scheme(count, compress(held), singletons(count))
+    return Scheme._of(count, compress(held), singletons(count))
 
 
 def _matrix_rows(delta: ArrayLike, n: int | None) -> tuple[Callable[[int], ArrayLike], int]:
@@ -537,7 +545,7 @@ def leave_p_out(n: int, p: int, max_sets: int | None = None, seed: Any = None) -
             drawn[tuple(sorted(rng.choice(n, p, replace=False).tolist()))] = None
         sets = np.array(list(drawn), dtype=np.int64)
     compressed = IndexSets(np.arange(wanted + 1) * p, sets.ravel())
-    return Scheme(n, compressed, compressed)
+    return Scheme._of(n, compressed, compressed)
 
 
 def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme:
@@ -565,7 +573,7 @@ def random_sampling(n: int, size: int, repeats: int, seed: Any = None) -> Scheme
     repeats = check.count(repeats, "repeats", 1)
     rng = check.generator(seed)
     sets = compress(rng.choice(n, size, replace=False) for _ in range(repeats))
-    return Scheme(n, sets, sets)
+    return Scheme._of(n, sets, sets)
 
 
 def from_sets(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -177,15 +177,13 @@ class LeastSquares:
         return cls(Q, b, coupling, weights, penalty, threads=threads)
 
     def _keep(self, problem: Problem, factor: _core.Factor) -> None:
-        fields = {
-            "rank": factor.rank,
-            "n_data": len(problem.coupling),
-            "_factor": factor,
-            "_coupling": problem.coupling,
-            "_flat": problem.responses.ndim == 1,
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            rank=factor.rank,
+            n_data=len(problem.coupling),
+            _factor=factor,
+            _coupling=problem.coupling,
+            _flat=problem.responses.ndim == 1,
+        )
 
     @cached_property
     def coefficients(self) -> Floats:
@@ -266,7 +264,7 @@ class LeastSquares:
         m = len(self.leverage)
         order = check.indices(rows, "rows", m)
         sets = compress([order])
-        prediction = next(self._predict([Scheme(m, sets, sets)], singletons(m), None))
+        prediction = self._predict([Scheme(m, sets, sets)], singletons(m), None)[0]
         if len(prediction.undefined):
             warnings.warn(RankLossWarning("The other rows no longer determine the model."), stacklevel=2)
         return prediction.residuals[np.argsort(np.argsort(order))]
@@ -358,23 +356,25 @@ class LeastSquares:
         True
         """
         _expect_scheme(self, scheme)
-        result = next(self._predict([scheme], self._coupling, threads))
+        result = self._predict([scheme], self._coupling, threads)[0]
         where = "the attribute 'undefined' of the result lists them, the first is"
         _warn(result.undefined, len(scheme), "pairs", where)
         return result
 
     def _predict(
         self, schemes: Iterable[Scheme], coupling: IndexSets, threads: int | None
-    ) -> Iterator[CrossValidation]:
+    ) -> list[CrossValidation]:
         """Cross-validate by schemes over data that have these rows, in one call, so that the core shares work."""
-        orders = ((s.sets, None if s.order is None else s.order.view(np.uintp)) for s in schemes)
+        orders = [(s.sets, None if s.order is None else s.order.view(np.uintp)) for s in schemes]
         workers = check.threads(threads)
         try:
-            found = self._factor.predict(list(orders), coupling.arrays, workers)
+            found = self._factor.predict(orders, coupling.arrays, workers)
         except RuntimeError as error:
             check.refuse("A", "It must not change while the model is in use.", str(error))
-        for score, residuals, *places in found:
-            yield CrossValidation(score, residuals[:, 0] if self._flat else residuals, *places)
+        return [
+            CrossValidation(score, residuals[:, 0] if self._flat else residuals, *places)
+            for score, residuals, *places in found
+        ]
 
 
 def datum_of_row(model: LeastSquares | Nested) -> Integers:
@@ -387,8 +387,8 @@ def datum_of_row(model: LeastSquares | Nested) -> Integers:
 
 def leave_row_out(model: LeastSquares, threads: int | None) -> CrossValidation:
     """Hold out every row on its own: the score is PRESS."""
-    m = len(model.leverage)
-    return next(model._predict([leave_one_out(m)], singletons(m), threads))
+    alone = leave_one_out(len(model._coupling.indices))
+    return model._predict([alone], alone.held_out, threads)[0]
 
 
 def cross_validate_all(

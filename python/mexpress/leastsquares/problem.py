@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.index_sets import IndexSets
+from mexpress.index_sets import IndexSets, singletons
 
 # If the weights span d digits, residuals of the smallest weight lose d / 2 digits.
 WEIGHT_RATIO = 1e12
@@ -58,11 +58,11 @@ class Problem:
 def _couple(coupling: Any, m: int) -> IndexSets:
     """The rows of every datum."""
     rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
-    if check.array(coupling, "coupling", rule).ndim == 0:
+    if isinstance(coupling, int) or check.array(coupling, "coupling", rule).ndim == 0:
         g = check.count(coupling, "coupling", 1)
         if m % g:
             check.refuse("coupling", f"It must divide the {m} rows of A.", str(g))
-        return IndexSets(np.arange(0, m + 1, g), np.arange(m))
+        return singletons(m) if g == 1 else IndexSets(np.arange(0, m + 1, g), np.arange(m))
     labels = check.integers(coupling, "coupling", rule)
     if labels.shape != (m,) or labels.min() < 0 or labels.max() >= m:
         check.refuse("coupling", rule, check.describe(coupling))
