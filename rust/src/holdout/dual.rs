@@ -2,7 +2,7 @@
 //!
 //! Balls around one datum nest, and one factorisation serves them all: with the datum's rows first and then ring after ring,
 //! a ball is a leading part of the largest, and so are its factor L and its forward solves `y = L^-1 e_K` and
-//! `z = L^-1 1_T`, of which `e_(T) = z^T y`. One to three rows are unrolled.
+//! `z = L^-1 1_T`, of which `e_(T) = z^T y`. Two or three rows are unrolled.
 
 use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
@@ -12,7 +12,7 @@ use crate::holdout::residuals::MOST_CARRIED;
 use crate::holdout::walk::Workspace;
 
 impl Workspace {
-    /// `(I - H_KK) z = e_K` for one to three rows, in registers.
+    /// `(I - H_KK) z = e_K` for two or three rows, in registers.
     pub(super) fn unrolled<const N: usize>(&self, factor: &Factor, out: &mut [f64]) -> f64 {
         let q: [&[f64]; N] = std::array::from_fn(|i| factor.basis_row(self.rows[i]));
         let mut l = [[0.0; N]; N];
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn one_to_three_rows_unrolled_are_what_any_number_is() {
+    fn two_or_three_rows_unrolled_are_what_any_number_is() {
         fn check<const N: usize>(example: &Example, rows: [usize; N]) {
             let (factor, mut work) = (example.factor(), workspace(&rows, N));
             let (mut unrolled, mut general) = (vec![0.0; 2 * N], vec![0.0; 2 * N]);
@@ -164,7 +164,6 @@ mod tests {
             assert!(least > 0.0 && least <= work.least[0] * (1.0 + 1e-14));
         }
         let example = Example::new(25, 6, 2);
-        check(&example, [4]);
         check(&example, [20, 3]);
         check(&example, [7, 0, 19]);
     }

@@ -81,8 +81,10 @@ impl Factor {
         }
         self.rescue(problem, &ground, &places, &mut residuals, &mut status, pool)?;
         let status = status.into_iter().map(|s| s.unwrap_or(Status::Undefined)).collect();
-        let validated = schemes.iter().flat_map(|scheme| scheme.validated.items.iter());
-        let listed = validated.flat_map(|&datum| rows.get(datum)).copied().collect();
+        let mut listed = Vec::with_capacity(places.offsets[count]);
+        for &datum in schemes.iter().flat_map(|scheme| scheme.validated.items.iter()) {
+            listed.extend_from_slice(rows.get(datum));
+        }
         Ok(Predictions { residuals, rows: listed, offsets: places.offsets, status })
     }
 }
@@ -164,8 +166,49 @@ impl Residuals {
     }
 }
 
+impl LastModel<'_> {
+    /// The row that a pair holds out and validates, if it is a single one.
+    fn lone_row(&self, scheme: &Scheme<'_>, pair: usize) -> Option<usize> {
+        match (scheme.held.listed()?.get(pair), scheme.validated.get(pair)) {
+            (&[datum], &[validated]) if datum == validated => match *self.0.rows.get(datum) {
+                [row] => Some(row),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+}
+
+/// The residual of a row that is held out alone, equation (3), and the eigenvalue of its M.
+fn leave_out(factor: &Factor, row: usize, out: &mut [f64]) -> f64 {
+    let least = 1.0 - factor.leverage[row];
+    out.iter_mut().zip(factor.residual_row(row)).for_each(|(out, e)| *out = e / least);
+    least
+}
+
 impl Question for LastModel<'_> {
     type Answer = Residuals;
+
+    fn at_once(&self, portion: &Portion<'_>, answer: &mut Residuals) -> bool {
+        let Ground { factor, schemes, .. } = *self.0;
+        let [s] = portion.chain.schemes[..] else { return false };
+        let row_at = |step| self.lone_row(&schemes[s], portion.chain.pair(step));
+        let Some(lone) = portion.steps.clone().map(row_at).collect::<Option<Vec<_>>>() else { return false };
+        if factor.rank == factor.total_rows {
+            return false;
+        }
+        let (count, responses, required) = (lone.len(), factor.responses, factor.closed_form_least());
+        answer.values = vec![f64::NAN; count * responses];
+        answer.status = vec![None; count];
+        for (k, (&row, status)) in lone.iter().zip(&mut answer.status).enumerate() {
+            let out = &mut answer.values[k * responses..(k + 1) * responses];
+            if leave_out(factor, row, out) >= required {
+                *status = Some(Status::Closed);
+            }
+        }
+        unweight(factor, &lone, &mut answer.values);
+        true
+    }
 
     fn together(&self, work: &mut Workspace, at: Visit<'_>, answer: &mut Residuals) -> usize {
         let Ground { factor, rows, ref hat, .. } = *self.0;
@@ -209,7 +252,7 @@ impl Question for LastModel<'_> {
         }
         let least = match q {
             0 => f64::INFINITY,
-            1 => work.unrolled::<1>(factor, out),
+            1 => leave_out(factor, work.rows[0], out),
             2 => work.unrolled::<2>(factor, out),
             3 => work.unrolled::<3>(factor, out),
             q => {
@@ -357,6 +400,52 @@ mod tests {
         let refits: Vec<f64> =
             (0..5).flat_map(|pair| example.refit(held.get(pair), validated.get(pair))).collect();
         assert_close(&found.residuals, &refits, 1e-12);
+    }
+
+    /// In an order, of weights, and of a row that the last column needs, nearly or wholly; also where all are.
+    #[test]
+    fn rows_left_out_one_by_one_are_plain_refits() {
+        let (alone, order) = (singletons(12), [5, 11, 0, 1, 2, 3, 4, 6, 7, 8, 9, 10]);
+        for (fraction, needed) in [(1.0, Status::Closed), (1e-4, Status::Refined), (0.0, Status::Undefined)] {
+            let mut example = Example::nearly_lost(12, 4, fraction);
+            example.design[4 * 10 + 3] *= fraction;
+            for order in [None, Some(&order[..])] {
+                let found = predict(&example, &[(&alone, &alone, order)], &alone, 1);
+                for (i, status) in found.status.iter().enumerate() {
+                    assert_eq!(
+                        *status,
+                        if i == 11 { needed } else { Status::Closed },
+                        "row {i} at {fraction}"
+                    );
+                    assert_close(&found.residuals[2 * i..2 * i + 2], &example.refit(&[i], &[i]), 1e-11);
+                }
+                assert_eq!(found.rows, (0..12).collect::<Vec<_>>());
+            }
+        }
+        let mut square = Example::new(4, 4, 1);
+        square.penalty.clear();
+        let alone = singletons(4);
+        let found = predict(&square, &[(&alone, &alone, None)], &alone, 1);
+        assert_eq!(found.status, [Status::Undefined; 4]);
+    }
+
+    /// Pairs that validate nothing, or data of two rows, are not rows left out.
+    #[test]
+    fn only_lone_rows_that_are_validated_are_answered_at_once() {
+        let (factor, rows) = (Example::new(6, 2, 1).factor(), sets([&[0, 1], &[2], &[3], &[4], &[5]]));
+        let answered = |held: &Sets, validated: &Sets| {
+            let schemes = [Scheme { held: Held::Sets(held), validated, order: None }];
+            let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+            let chains = plan::chains(&schemes);
+            let portions = plan::portions(&chains, &schemes, &factor, &rows);
+            LastModel(&ground).at_once(&portions[0], &mut Residuals::default())
+        };
+        let some = sets([&[1], &[4]]);
+        assert!(answered(&some, &some));
+        for held in [sets([&[1], &[0]]), sets([&[1], &[2, 3]]), sets([&[1], &[]])] {
+            assert!(!answered(&held, &held));
+        }
+        assert!(!answered(&some, &sets([&[1], &[]])));
     }
 
     #[test]

@@ -7,13 +7,16 @@ impl Factor {
     /// P of `P^2 = sum w ||e||^2 / sum w` over the validated data, of weights w, from the prediction residuals e of their
     /// rows, datum after datum. NaN without data, or if a residual is; squares overflow nowhere.
     pub fn score(&self, rows: &Sets<'_>, validated: &Sets<'_>, residuals: &[f64]) -> f64 {
-        let root = |row: usize| self.root_weights.as_ref().map_or(1.0, |roots| roots[row]);
+        let weight = self.weight(rows, validated.items.iter().copied());
+        let Some(roots) = &self.root_weights else {
+            return root_mean(|| residuals.iter().map(|e| e.abs()), weight);
+        };
         let sizes = || {
             let listed = validated.items.iter().flat_map(|&datum| rows.get(datum));
             let errors = listed.zip(residuals.chunks_exact(self.responses));
-            errors.flat_map(move |(&row, errors)| errors.iter().map(move |e| root(row) * e.abs()))
+            errors.flat_map(|(&row, errors)| errors.iter().map(move |e| roots[row] * e.abs()))
         };
-        root_mean(sizes, self.weight(rows, validated.items.iter().copied()))
+        root_mean(sizes, weight)
     }
 
     /// E of `E^2 = sum w ||e||^2 / sum w` over all data, which have these rows, with the residuals e of the fit.

@@ -49,6 +49,11 @@ pub(super) trait Question: Sync {
     /// What is found on a portion of the way.
     type Answer: Send;
 
+    /// Answers a portion at once, if its pairs are simple enough.
+    fn at_once(&self, _: &Portion<'_>, _: &mut Self::Answer) -> bool {
+        false
+    }
+
     /// Solves the first pairs of a step together, in the dual, and tells how many.
     fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &mut Self::Answer) -> usize {
         0
@@ -73,6 +78,9 @@ pub(super) fn walk<Q: Question>(
         portions.iter().zip(answers),
         || Workspace::new(ground.rows.len()),
         |work, (portion, answer)| {
+            if question.at_once(portion, answer) {
+                return;
+            }
             work.start(ground, portion.chain.schemes.len());
             for step in portion.steps.clone() {
                 work.step(ground, question, Visit { chain: portion.chain, step, k: 0 }, pool, answer);
