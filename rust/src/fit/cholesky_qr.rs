@@ -186,7 +186,7 @@ fn triangle(coarse: &[f64], fine: &[f64], columns: usize, pool: &Pool<'_>) -> Re
             target[k..].iter_mut().zip(column).for_each(|(x, c)| *x += c * factors[k]);
         }
     }
-    Ok((0..columns).flat_map(|i| product.iter().skip(i).step_by(columns)).copied().collect())
+    Ok(linalg::transposed(&product, columns))
 }
 
 #[cfg(test)]

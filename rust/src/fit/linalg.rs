@@ -266,14 +266,19 @@ pub fn solve_lower(lower: &[f64], order: usize, x: &mut [f64], width: usize) {
 
 /// The upper triangle of a matrix of some height, square, with zeros below.
 pub fn upper_triangle(a: &[f64], height: usize, columns: usize) -> Vec<f64> {
-    (0..columns)
-        .flat_map(|j| (0..columns).map(move |i| if i <= j { a[j * height + i] } else { 0.0 }))
-        .collect()
+    let mut upper = vec![0.0; columns * columns];
+    for (j, column) in upper.chunks_exact_mut(columns.max(1)).enumerate() {
+        column[..=j].copy_from_slice(&a[j * height..=j * height + j]);
+    }
+    upper
 }
 
 /// A matrix of columns (rows) of some length with its rows (columns) for them.
 pub fn transposed(a: &[f64], length: usize) -> Vec<f64> {
-    (0..length).flat_map(|i| a.iter().skip(i).step_by(length)).copied().collect()
+    let count = a.len() / length.max(1);
+    let mut rows = Vec::with_capacity(a.len());
+    (0..length).for_each(|i| rows.extend((0..count).map(|j| a[j * length + i])));
+    rows
 }
 
 /// `a b` for a (rows x inner) and b (inner x columns).
