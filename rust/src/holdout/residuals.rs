@@ -99,8 +99,10 @@ pub(super) struct Places {
 
 impl Places {
     fn new(schemes: &[Scheme<'_>], rows: &Sets) -> Self {
-        let (mut firsts, mut offsets) = (vec![0], vec![0]);
+        let count: usize = schemes.iter().map(|scheme| scheme.validated.len()).sum();
+        let (mut firsts, mut offsets) = (vec![0], Vec::with_capacity(count + 1));
         let mut end = 0;
+        offsets.push(end);
         for scheme in schemes {
             for pair in 0..scheme.validated.len() {
                 end += rows.total(scheme.validated.get(pair));

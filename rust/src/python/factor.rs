@@ -134,8 +134,10 @@ impl Factor {
         let ends = &found.offsets[pairs.start..=pairs.end];
         let (first, count) = (ends[0], ends[ends.len() - 1] - ends[0]);
         let residuals = &found.residuals[first * self.fit.responses..][..count * self.fit.responses];
-        let pair_of_row =
-            ends.windows(2).enumerate().flat_map(|(k, end)| std::iter::repeat_n(k, end[1] - end[0]));
+        let mut pair_of_row = Vec::with_capacity(count);
+        for (pair, end) in ends.windows(2).enumerate() {
+            pair_of_row.resize(end[1] - first, pair);
+        }
         let undefined: Vec<usize> =
             (0..pairs.len()).filter(|pair| found.status[pairs.start + pair] == Status::Undefined).collect();
         let score = if undefined.is_empty() { self.fit.score(rows, validated, residuals) } else { f64::NAN };
@@ -143,7 +145,7 @@ impl Factor {
             score,
             PyArray1::from_slice(py, residuals).reshape([count, self.fit.responses])?,
             indices(py, found.rows[first..][..count].to_vec()),
-            indices(py, pair_of_row.collect()),
+            indices(py, pair_of_row),
             indices(py, undefined),
         ))
     }
