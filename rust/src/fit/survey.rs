@@ -1,5 +1,7 @@
 //! What one look at all rows of a problem tells before it is factored.
 
+use pulp::Arch;
+
 use crate::error::Error;
 use crate::fit::factor::Problem;
 use crate::pool::Pool;
@@ -20,21 +22,29 @@ impl Survey {
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
         let (columns, responses) = (problem.columns, problem.responses.len() / problem.rows);
         let mut fingerprints = vec![0; problem.total_rows()];
-        let mut largest = vec![0.0_f64; fingerprints.len().div_ceil(ROWS) * columns];
+        // Sizes in bits: as whole numbers they compare alike, and one instruction compares several.
+        let mut largest = vec![0; fingerprints.len().div_ceil(ROWS) * columns];
         pool.run(
             fingerprints.chunks_mut(ROWS).zip(largest.chunks_exact_mut(columns)).enumerate(),
-            || (),
-            |(), (block, (prints, largest))| {
-                for (row, print) in (block * ROWS..).zip(prints) {
-                    for (largest, a) in largest.iter_mut().zip(problem.row(row).0) {
-                        // One instruction for several, which `max` is not.
-                        *largest = if a.abs() > *largest { a.abs() } else { *largest };
+            Arch::new,
+            |arch, (block, (prints, largest))| {
+                let rows = block * ROWS..block * ROWS + prints.len();
+                arch.dispatch(|| {
+                    for row in rows.clone() {
+                        for (largest, a) in largest.iter_mut().zip(problem.row(row).0) {
+                            *largest = (*largest).max(a.abs().to_bits() as i64);
+                        }
                     }
-                    *print = problem.fingerprint(row, responses);
-                }
+                });
+                // Vectors of whole numbers are multiplied slowly.
+                prints
+                    .iter_mut()
+                    .zip(rows)
+                    .for_each(|(print, row)| *print = problem.fingerprint(row, responses));
             },
         )?;
-        let scale = |j: usize| match largest.iter().skip(j).step_by(columns).fold(0.0_f64, |a, &b| a.max(b)) {
+        let entry = |j: usize| largest.iter().skip(j).step_by(columns).fold(0, |a, &b| a.max(b));
+        let scale = |j: usize| match f64::from_bits(entry(j) as u64) {
             0.0 => 1.0,
             largest => (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2(),
         };

@@ -3,6 +3,7 @@
 //! Indices come as int64 arrays seen as unsigned: a negative one is beyond every bound.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pulp::Arch;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -69,17 +70,21 @@ const LANES: usize = 8;
 pub(super) fn largest(py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
     let values = slice(&values)?;
     interruptible(py, values.len() as f64, 1, |pool| {
-        let (mut largest, mut nothing) = ([0.0; LANES], [0.0; LANES]);
-        let mut look = |k: usize, x: f64| {
-            largest[k] = if x.abs() > largest[k] { x.abs() } else { largest[k] };
-            // NaN as soon as a number is not finite.
-            nothing[k] += x * 0.0;
-        };
+        let (arch, mut largest, mut nothing) = (Arch::new(), [0.0; LANES], [0.0; LANES]);
         for part in values.chunks(AT_ONCE) {
             pool.proceed()?;
             let (whole, rest) = part.as_chunks::<LANES>();
-            whole.iter().for_each(|lanes| lanes.iter().enumerate().for_each(|(k, x)| look(k, *x)));
-            rest.iter().enumerate().for_each(|(k, x)| look(k, *x));
+            let mut last = [0.0; LANES];
+            last[..rest.len()].copy_from_slice(rest);
+            arch.dispatch(|| {
+                whole.iter().chain([&last]).for_each(|lanes| {
+                    for ((x, largest), nothing) in lanes.iter().zip(&mut largest).zip(&mut nothing) {
+                        *largest = if x.abs() > *largest { x.abs() } else { *largest };
+                        // NaN as soon as a number is not finite.
+                        *nothing += x * 0.0;
+                    }
+                });
+            });
         }
         Ok(largest.into_iter().fold(0.0, f64::max) + nothing.into_iter().sum::<f64>())
     })
