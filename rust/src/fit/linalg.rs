@@ -21,18 +21,22 @@ use faer::{Accum, ColMut, Conj, Mat, MatMut, MatRef, Par};
 use crate::error::Error;
 use crate::pool::Pool;
 
-/// Sum of products, in eight running sums so that it vectorises; with wider vectors in work that `pulp` dispatches.
+/// Sum of products, in eight running sums so that it vectorises; with wider vectors in work that `pulp` dispatches. They are
+/// added by halves: most vectors are so short that additions one after another would take longest.
 #[inline(always)]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut lanes = [0.0; 8];
-    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f64 = a8.remainder().iter().zip(b8.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in a8.zip(b8) {
-        for ((lane, x), y) in lanes.iter_mut().zip(x).zip(y) {
-            *lane += x * y;
-        }
+    let ((a8, a), (b8, b)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    let ((a4, a), (b4, b)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut eight = [0.0; 8];
+    for (x, y) in a8.iter().zip(b8) {
+        (0..8).for_each(|k| eight[k] += x[k] * y[k]);
     }
-    lanes.iter().sum::<f64>() + tail
+    let mut four: [f64; 4] = std::array::from_fn(|k| eight[k] + eight[k + 4]);
+    for (x, y) in a4.iter().zip(b4) {
+        (0..4).for_each(|k| four[k] += x[k] * y[k]);
+    }
+    let tail: f64 = a.iter().zip(b).map(|(x, y)| x * y).sum();
+    (four[0] + four[2]) + (four[1] + four[3]) + tail
 }
 
 /// Scratch of the QR routines; one a thread.
