@@ -151,17 +151,16 @@ fn unit_cholesky(mut gram: Vec<f64>, columns: usize, pool: &Pool<'_>) -> Result<
     if norms.iter().any(|&norm| norm.is_nan() || norm <= 0.0) {
         return Ok(None);
     }
-    let scale = |gram: &mut [f64], by: &dyn Fn(usize, usize) -> f64| {
-        for (j, column) in gram.chunks_exact_mut(columns).enumerate() {
-            column.iter_mut().enumerate().for_each(|(i, x)| *x *= by(i, j));
-        }
+    let scale = |column: &mut [f64], by: &[f64], all: f64| {
+        column.iter_mut().zip(by).for_each(|(x, by)| *x *= by * all);
     };
-    scale(&mut gram, &|i, j| (norms[i] * norms[j]).recip());
+    let units: Vec<f64> = norms.iter().map(|norm| norm.recip()).collect();
+    gram.chunks_exact_mut(columns).zip(&units).for_each(|(column, &unit)| scale(column, &units, unit));
     let Some(mut factor) = panels::cholesky(gram, columns, pool)? else { return Ok(None) };
     if factor.iter().step_by(columns + 1).any(|pivot| pivot * pivot < LEAST_PIVOT) {
         return Ok(None);
     }
-    scale(&mut factor, &|i, _| norms[i]);
+    factor.chunks_exact_mut(columns).for_each(|column| scale(column, &norms, 1.0));
     Ok(Some(factor))
 }
 
