@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::curves::{AllModels, Outcome, PairCurve, Visited};
+use super::curves::{AllModels, Outcome, PairCurve, Visited, certain_least};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
@@ -15,6 +15,9 @@ use crate::pool::Pool;
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
 const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
+
+/// Below this estimate by plain arithmetic lambda_min(M) is below that beyond doubt.
+const PLAIN_CERTAIN_LOSS: f64 = DOUBLE_DOUBLE_MIN_EIGENVALUE / 10.0;
 
 /// Pairs close to rank loss that share matrices, at most.
 const LONGEST_RUN: usize = 64;
@@ -31,7 +34,7 @@ impl AllModels<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        steps.sort_unstable();
+        steps.sort_unstable_by_key(|visited| (visited.scheme, visited.step));
         let whole = self.nested.whole_gram(pool)?;
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let failure = OnceLock::new();
@@ -99,7 +102,7 @@ impl Rescue<'_> {
         // Data in a cluster tend to hold out the same set.
         let solved = match (self.update_gram(), self.solved) {
             (false, Some(solved)) => solved,
-            _ => self.factor(pool)?,
+            _ => self.factor(visited.least, pool)?,
         };
         self.solved = Some(solved);
         let defined = match solved {
@@ -115,10 +118,14 @@ impl Rescue<'_> {
         Ok(defined)
     }
 
-    /// Factors the set at hand.
-    fn factor(&mut self, pool: &Pool<'_>) -> Result<Solved, Error> {
+    /// Factors the set at hand, given what plain arithmetic says of lambda_min(M).
+    fn factor(&mut self, plain: f64, pool: &Pool<'_>) -> Result<Solved, Error> {
         let models = self.models;
-        if self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
+        let least = if plain < PLAIN_CERTAIN_LOSS { 0.0 } else { self.double_double() };
+        if least >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
+            if least > certain_least(models.ground.factor) {
+                return Ok(Solved::TwiceTheDigits(models.cuts.len()));
+            }
             match self.curve.cut(models, &self.factor.upper(), pool) {
                 Outcome::All => return Ok(Solved::TwiceTheDigits(models.cuts.len())),
                 Outcome::Leading(defined) => return Ok(Solved::TwiceTheDigits(defined)),
@@ -254,7 +261,8 @@ mod tests {
         assert_eq!(changes, [true, false, true, true, true]);
         start(&mut rescue);
         let found = [0, 1, 2, 3, 4].map(|pair| {
-            assert_eq!(rescue.solve(Visited { scheme: 0, step: pair, pair }, &pool(1)), Ok(5));
+            let visited = Visited { scheme: 0, step: pair, pair, least: 1e-10 };
+            assert_eq!(rescue.solve(visited, &pool(1)), Ok(5));
             assert!(matches!(rescue.solved, Some(Solved::TwiceTheDigits(5))));
             assert_close(
                 &rescue.curve.squares,
@@ -264,5 +272,11 @@ mod tests {
             bits(&rescue.curve.squares)
         });
         assert_eq!(found[0], found[1]);
+        // Where plain arithmetic leaves no doubt, twice the digits are not tried.
+        start(&mut rescue);
+        rescue.solved = None;
+        assert_eq!(rescue.solve(Visited { scheme: 0, step: 0, pair: 0, least: 0.0 }, &pool(1)), Ok(5));
+        assert!(matches!(rescue.solved, Some(Solved::Refitted(5))));
+        assert_close(&rescue.curve.squares, &refitted(&example, held.get(0), validated.get(0)), 1e-11);
     }
 }
