@@ -37,6 +37,13 @@ pub(super) struct Visited {
 }
 
 impl Visited {
+    /// The data that it holds out.
+    pub(super) fn members(self, ground: &Ground<'_>) -> Vec<usize> {
+        let mut members = Vec::new();
+        ground.schemes[self.scheme].held.members(self.pair, &mut members);
+        members
+    }
+
     fn new(at: Visit<'_>, least: f64) -> Self {
         Self { scheme: at.chain.schemes[at.k], step: at.step, pair: at.chain.pair(at.step), least }
     }

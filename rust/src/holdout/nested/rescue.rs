@@ -10,6 +10,7 @@ use crate::fit::panels::PANEL;
 use crate::holdout::probes::{by_probe, sign};
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
+use crate::holdout::rescue::shared::groups;
 use crate::holdout::walk::{LastPair, Workspace};
 use crate::pool::Pool;
 
@@ -17,7 +18,7 @@ use crate::pool::Pool;
 const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
 
 /// Below this estimate by plain arithmetic lambda_min(M) is below that beyond doubt.
-const PLAIN_CERTAIN_LOSS: f64 = DOUBLE_DOUBLE_MIN_EIGENVALUE / 10.0;
+const CERTAIN_LOSS: f64 = DOUBLE_DOUBLE_MIN_EIGENVALUE / 10.0;
 
 /// Pairs close to rank loss that share matrices, at most.
 const LONGEST_RUN: usize = 64;
@@ -34,9 +35,27 @@ impl AllModels<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        steps.sort_unstable_by_key(|visited| (visited.scheme, visited.step));
-        let whole = self.nested.whole_gram(pool)?;
+        // Those for which twice the digits are too few come last.
+        let lost = |visited: &Visited| visited.least < CERTAIN_LOSS;
+        steps.sort_unstable_by_key(|visited| (lost(visited), visited.scheme, visited.step));
+        let (close, lost) = steps.split_at(steps.partition_point(|visited| !lost(visited)));
+        let members: Vec<Vec<usize>> = lost.iter().map(|visited| visited.members(self.ground)).collect();
+        let factor = &self.nested.factor;
+        let shape = (factor.problem_rows(), factor.coordinates() + factor.responses);
+        let groups = groups(&members, self.ground.rows.len(), shape);
+        let run = (close.len() / 16).clamp(1, LONGEST_RUN);
+        let runs = close.chunks(run).map(|run| (run, &[][..]));
+        let tasks = runs.chain(groups.iter().map(|group| (&lost[group.sets.clone()], &group.union[..])));
+        let whole = if close.is_empty() { None } else { Some(self.nested.whole_gram(pool)?) };
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
+        let mut rest = &mut results[..];
+        let tasks: Vec<_> = tasks
+            .map(|(steps, union)| {
+                let (mine, after) = std::mem::take(&mut rest).split_at_mut(steps.len());
+                rest = after;
+                (steps, union, mine)
+            })
+            .collect();
         let failure = OnceLock::new();
         let workspace = || Rescue {
             models: self,
@@ -49,19 +68,16 @@ impl AllModels<'_> {
             refit: Refit::default(),
             solved: None,
         };
-        let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
-        pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
-            rescue.solved = None;
-            rescue.last.clear(self.ground.rows.len());
-            rescue.last.gram.copy_from(whole);
-            for (&visited, result) in steps.iter().zip(results) {
-                match rescue.solve(visited, pool) {
-                    Ok(defined) => *result = (rescue.curve.squares.clone(), defined),
-                    Err(error) => {
-                        let _ = failure.set(error);
-                        return;
-                    }
-                }
+        pool.run(tasks.into_iter(), workspace, |rescue, (steps, union, results)| {
+            let solved = rescue.start(union, pool).and_then(|()| {
+                steps.iter().zip(results).try_for_each(|(&visited, result)| {
+                    let defined = rescue.solve(visited, pool)?;
+                    *result = (rescue.curve.squares.clone(), defined);
+                    Ok(())
+                })
+            });
+            if let Err(error) = solved {
+                let _ = failure.set(error);
             }
         })?;
         for (&visited, (squares, defined)) in steps.iter().zip(&results) {
@@ -77,7 +93,8 @@ impl AllModels<'_> {
 struct Rescue<'a> {
     models: &'a AllModels<'a>,
     problem: Problem<'a>,
-    whole: &'a DdGram,
+    /// Of all rows, if twice the digits help any pair.
+    whole: Option<&'a DdGram>,
     work: Workspace,
     curve: PairCurve,
     last: LastPair<DdGram>,
@@ -96,13 +113,26 @@ enum Solved {
 }
 
 impl Rescue<'_> {
+    /// Before a run of neighbours, and data beyond which these hold out none, if they share what is left.
+    fn start(&mut self, union: &[usize], pool: &Pool<'_>) -> Result<(), Error> {
+        let Self { models, problem, whole, last, refit, solved, .. } = self;
+        let AllModels { ground, nested, .. } = **models;
+        *solved = None;
+        last.clear(ground.rows.len());
+        if let Some(whole) = whole {
+            last.gram.copy_from(whole);
+        }
+        refit.share(&nested.factor, problem, pool, &ground.rows_of(union))
+    }
+
     /// Fills the curve of a pair, and tells how many of the models are defined.
     fn solve(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<usize, Error> {
         self.work.list_pair(self.models.ground, visited.scheme, visited.pair);
         // Data in a cluster tend to hold out the same set.
-        let solved = match (self.update_gram(), self.solved) {
+        let lost = visited.least < CERTAIN_LOSS;
+        let solved = match (self.move_to_pair(!lost), self.solved) {
             (false, Some(solved)) => solved,
-            _ => self.factor(visited.least, pool)?,
+            _ => self.factor(lost, pool)?,
         };
         self.solved = Some(solved);
         let defined = match solved {
@@ -118,10 +148,10 @@ impl Rescue<'_> {
         Ok(defined)
     }
 
-    /// Factors the set at hand, given what plain arithmetic says of lambda_min(M).
-    fn factor(&mut self, plain: f64, pool: &Pool<'_>) -> Result<Solved, Error> {
+    /// Factors the set at hand; of one that is lost to twice the digits, the training rows.
+    fn factor(&mut self, lost: bool, pool: &Pool<'_>) -> Result<Solved, Error> {
         let models = self.models;
-        let least = if plain < PLAIN_CERTAIN_LOSS { 0.0 } else { self.double_double() };
+        let least = if lost { 0.0 } else { self.double_double() };
         if least >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
             if least > certain_least(models.ground.factor) {
                 return Ok(Solved::TwiceTheDigits(models.cuts.len()));
@@ -176,8 +206,8 @@ impl Rescue<'_> {
         Ok(())
     }
 
-    /// Turns the matrix into that of the pair at hand; whether that changes it.
-    fn update_gram(&mut self) -> bool {
+    /// Goes on to the pair at hand, and turns the matrix into its own if that is needed; whether the set is another.
+    fn move_to_pair(&mut self, gram: bool) -> bool {
         let Self { models, work, last, whole, .. } = self;
         let AllModels { ground, nested, .. } = **models;
         let change = work.change_from(last);
@@ -186,7 +216,11 @@ impl Rescue<'_> {
             return false;
         }
         let fetch = |i: usize| (ground.factor.basis_row(i), nested.right_row(i));
-        if added.len() + removed.len() > work.rows.len() {
+        if !gram {
+            last.set_members(&work.members[0]);
+            return true;
+        }
+        if let Some(whole) = whole.filter(|_| added.len() + removed.len() > work.rows.len()) {
             last.gram.copy_from(whole);
             last.gram.change(&work.rows, -1.0, fetch);
         } else {
@@ -241,7 +275,7 @@ mod tests {
         let mut rescue = Rescue {
             models: &models,
             problem: nested.independent(&problem),
-            whole,
+            whole: Some(whole),
             work: Workspace::new(40),
             curve: PairCurve::new(5),
             last: LastPair::default(),
@@ -256,7 +290,7 @@ mod tests {
         start(&mut rescue);
         let changes = [0, 1, 2, 3, 4].map(|pair| {
             rescue.work.list_pair(&ground, 0, pair);
-            rescue.update_gram()
+            rescue.move_to_pair(true)
         });
         assert_eq!(changes, [true, false, true, true, true]);
         start(&mut rescue);
