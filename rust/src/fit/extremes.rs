@@ -25,28 +25,29 @@ const SHARE: f64 = 0.01;
 /// The rounding of the ratio, with plenty to spare.
 const ROUNDING: f64 = 0.01;
 
-/// A triangle in units of its largest entry, whose square may be beyond the range of numbers.
-pub(crate) struct Extremes {
-    order: usize,
-    /// Upper, column-major.
-    triangle: Vec<f64>,
+/// An upper triangle, column-major, without a zero on its diagonal.
+pub(crate) struct Extremes<'a> {
+    triangle: &'a [f64],
+    stride: usize,
+    /// The columns at hand one after another, in units of their largest entry: its fourth power may be beyond the range of
+    /// numbers.
+    scaled: Vec<f64>,
 }
 
-impl Extremes {
-    /// Of the first `order` columns of a triangle whose columns are `stride` apart, and which has no zero on its diagonal.
-    pub fn new(triangle: &[f64], stride: usize, order: usize) -> Self {
-        let entries = |j: usize| triangle[j * stride..=j * stride + j].iter();
-        let size = (0..order).flat_map(entries).fold(0.0, |size: f64, r| size.max(r.abs()));
-        let mut scaled = vec![0.0; order * order];
-        for (j, column) in scaled.chunks_exact_mut(order.max(1)).enumerate() {
-            column.iter_mut().zip(entries(j)).for_each(|(to, r)| *to = r / size);
-        }
-        Self { order, triangle: scaled }
+impl<'a> Extremes<'a> {
+    /// Columns are `stride` apart.
+    pub fn new(triangle: &'a [f64], stride: usize) -> Self {
+        Self { triangle, stride, scaled: Vec::new() }
     }
 
     /// Whether of the first `count` columns the least singular value is more than a fraction of the largest, if a few steps
     /// can tell.
-    pub fn stands_out(&self, count: usize, fraction: f64) -> Option<bool> {
+    pub fn stands_out(&mut self, count: usize, fraction: f64) -> Option<bool> {
+        let Self { triangle, stride, scaled } = self;
+        let entries = || (0..count).flat_map(|j| &triangle[j * *stride..=j * *stride + j]);
+        let size = entries().fold(0.0, |size: f64, r| size.max(r.abs()));
+        scaled.clear();
+        scaled.extend(entries().map(|r| r / size));
         Arch::new().dispatch(|| self.steps(count, fraction))
     }
 
@@ -72,7 +73,8 @@ impl Extremes {
 
     #[inline(always)]
     fn column(&self, j: usize) -> &[f64] {
-        &self.triangle[j * self.order..=j * self.order + j]
+        let first = j * (j + 1) / 2;
+        &self.scaled[first..=first + j]
     }
 
     /// `x <- R^T R x`
@@ -148,7 +150,7 @@ mod tests {
                 (0..j).for_each(|i| triangle[j * order + i] = size * random[j * order + i] / 2.0);
                 triangle[j * order + j] = size * (0.6 + random[j * order + j] / 2.0);
             }
-            let extremes = Extremes::new(&triangle, order, order);
+            let mut extremes = Extremes::new(&triangle, order);
             for count in [1, order.div_ceil(2), order] {
                 let mut r = vec![0.0; count * count];
                 for (j, target) in r.chunks_exact_mut(count).enumerate() {
@@ -156,7 +158,7 @@ mod tests {
                 }
                 let values = linalg::thin_svd(r, count, count, &pool(1)).unwrap().s;
                 let ratio = values[count - 1] / values[0];
-                let found = |times: f64| extremes.stands_out(count, ratio / times);
+                let mut found = |times: f64| extremes.stands_out(count, ratio / times);
                 for times in [1.25, 3.0, 1e3] {
                     assert_eq!(found(times), Some(true), "{count} of {order}, {decades} decades, {times}");
                     assert_eq!(
@@ -174,7 +176,7 @@ mod tests {
 
     #[test]
     fn overflow_is_no_rank() {
-        let extremes = Extremes::new(&[1.0, 0.0, 1.0, 1e-300], 2, 2);
+        let mut extremes = Extremes::new(&[1.0, 0.0, 1.0, 1e-300], 2);
         assert_eq!(extremes.stands_out(2, 1e-200), Some(false));
         assert_eq!(extremes.stands_out(1, 0.5), Some(true));
     }
@@ -182,7 +184,8 @@ mod tests {
     #[test]
     fn units_do_not_matter() {
         for unit in [1e-310, 1e-200, 1.0, 1e200] {
-            let extremes = Extremes::new(&[unit, 0.0, 0.0, unit / 4.0], 2, 2);
+            let triangle = [unit, 0.0, 0.0, 0.0, unit / 4.0, 0.0, 0.0, 0.0, 1.0];
+            let mut extremes = Extremes::new(&triangle, 3);
             assert_eq!(
                 [0.2, 0.3].map(|fraction| extremes.stands_out(2, fraction)),
                 [Some(true), Some(false)]

@@ -156,7 +156,7 @@ pub(crate) fn leading_rank(
         column(j)[j].abs() <= tolerance * longest
     };
     let all = (0..order).find(vanishing).unwrap_or(order);
-    let extremes = Extremes::new(triangle, order, all);
+    let mut extremes = Extremes::new(triangle, order);
     first_deficient(all, |count| {
         pool.proceed()?;
         if let Some(full) = extremes.stands_out(count, tolerance) {
@@ -224,6 +224,8 @@ mod tests {
         let triangle = [1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1e-17];
         assert_eq!(leading_rank(&triangle, 3, 1e-15, &pool), Ok(2));
         assert_eq!(leading_rank(&triangle, 3, 1e-18, &pool), Ok(3));
+        // Of columns that are nothing beside those that follow.
+        assert_eq!(leading_rank(&[1e-90, 0.0, 0.0, 1.0], 2, 1e-15, &pool), Ok(1));
         // Kahan's triangle: no diagonal entry is small, yet all columns together are dependent.
         let (order, c) = (60, 0.6_f64);
         let s = (1.0 - c * c).sqrt();
