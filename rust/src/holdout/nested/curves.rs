@@ -34,6 +34,8 @@ pub(super) struct Visited {
     pub(super) pair: usize,
     /// An estimate of lambda_min(M) by plain arithmetic.
     pub(super) least: f64,
+    /// To be refitted, as the rescue decides.
+    pub(super) refit: bool,
 }
 
 impl Visited {
@@ -45,7 +47,13 @@ impl Visited {
     }
 
     fn new(at: Visit<'_>, least: f64) -> Self {
-        Self { scheme: at.chain.schemes[at.k], step: at.step, pair: at.chain.pair(at.step), least }
+        Self {
+            scheme: at.chain.schemes[at.k],
+            step: at.step,
+            pair: at.chain.pair(at.step),
+            least,
+            refit: false,
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use crate::fit::panels::PANEL;
 use crate::holdout::probes::{by_probe, sign};
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
-use crate::holdout::rescue::shared::groups;
+use crate::holdout::rescue::shared::{Group, groups};
 use crate::holdout::walk::{LastPair, Workspace};
 use crate::pool::Pool;
 
@@ -19,6 +19,9 @@ const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
 
 /// Below this estimate by plain arithmetic lambda_min(M) is below that beyond doubt.
 const CERTAIN_LOSS: f64 = DOUBLE_DOUBLE_MIN_EIGENVALUE / 10.0;
+
+/// What a factor with twice the digits costs for each column, in rows that are reduced.
+const TWICE_THE_DIGITS: f64 = 0.7;
 
 /// Pairs close to rank loss that share matrices, at most.
 const LONGEST_RUN: usize = 64;
@@ -35,17 +38,12 @@ impl AllModels<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        // Those for which twice the digits are too few come last.
-        let lost = |visited: &Visited| visited.least < CERTAIN_LOSS;
-        steps.sort_unstable_by_key(|visited| (lost(visited), visited.scheme, visited.step));
-        let (close, lost) = steps.split_at(steps.partition_point(|visited| !lost(visited)));
-        let members: Vec<Vec<usize>> = lost.iter().map(|visited| visited.members(self.ground)).collect();
-        let factor = &self.nested.factor;
-        let shape = (factor.problem_rows(), factor.coordinates() + factor.responses);
-        let groups = groups(&members, self.ground.rows.len(), shape);
+        self.plan(steps);
+        let (close, refitted) = steps.split_at(steps.partition_point(|visited| !visited.refit));
+        let groups = self.groups(refitted).0;
         let run = (close.len() / 16).clamp(1, LONGEST_RUN);
         let runs = close.chunks(run).map(|run| (run, &[][..]));
-        let tasks = runs.chain(groups.iter().map(|group| (&lost[group.sets.clone()], &group.union[..])));
+        let tasks = runs.chain(groups.iter().map(|group| (&refitted[group.sets.clone()], &group.union[..])));
         let whole = if close.is_empty() { None } else { Some(self.nested.whole_gram(pool)?) };
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let mut rest = &mut results[..];
@@ -89,6 +87,31 @@ impl AllModels<'_> {
     }
 }
 
+impl AllModels<'_> {
+    /// Puts pairs in order, and those last that are to be refitted: twice the digits are too few, or cost more.
+    fn plan(&self, steps: &mut [Visited]) {
+        steps.sort_unstable_by_key(|visited| (visited.scheme, visited.step));
+        let (groups, others) = self.groups(steps);
+        let columns = self.nested.factor.rank as f64;
+        for group in &groups {
+            let sets = group.sets.clone().filter(|&k| others[k]).count();
+            let cheap = group.cost < TWICE_THE_DIGITS * columns * sets as f64;
+            steps[group.sets.clone()].iter_mut().for_each(|v| v.refit = cheap || v.least < CERTAIN_LOSS);
+        }
+        steps.sort_unstable_by_key(|visited| (visited.refit, visited.scheme, visited.step));
+    }
+
+    /// Neighbours that are best refitted together; and by pair, whether it holds out others than the one before.
+    fn groups(&self, steps: &[Visited]) -> (Vec<Group>, Vec<bool>) {
+        let factor = &self.nested.factor;
+        let mut members: Vec<Vec<usize>> = steps.iter().map(|visited| visited.members(self.ground)).collect();
+        members.iter_mut().for_each(|members| members.sort_unstable());
+        let others = (0..steps.len()).map(|k| k == 0 || members[k] != members[k - 1]).collect();
+        let shape = (factor.problem_rows(), factor.coordinates() + factor.responses);
+        (groups(&members, self.ground.rows.len(), shape), others)
+    }
+}
+
 /// What a thread needs for pairs close to rank loss.
 struct Rescue<'a> {
     models: &'a AllModels<'a>,
@@ -129,10 +152,9 @@ impl Rescue<'_> {
     fn solve(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<usize, Error> {
         self.work.list_pair(self.models.ground, visited.scheme, visited.pair);
         // Data in a cluster tend to hold out the same set.
-        let lost = visited.least < CERTAIN_LOSS;
-        let solved = match (self.move_to_pair(!lost), self.solved) {
+        let solved = match (self.move_to_pair(!visited.refit), self.solved) {
             (false, Some(solved)) => solved,
-            _ => self.factor(lost, pool)?,
+            _ => self.factor(visited, pool)?,
         };
         self.solved = Some(solved);
         let defined = match solved {
@@ -148,10 +170,10 @@ impl Rescue<'_> {
         Ok(defined)
     }
 
-    /// Factors the set at hand; of one that is lost to twice the digits, the training rows.
-    fn factor(&mut self, lost: bool, pool: &Pool<'_>) -> Result<Solved, Error> {
+    /// Factors the set at hand, or its training rows.
+    fn factor(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<Solved, Error> {
         let models = self.models;
-        let least = if lost { 0.0 } else { self.double_double() };
+        let least = if visited.refit { 0.0 } else { self.double_double() };
         if least >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
             if least > certain_least(models.ground.factor) {
                 return Ok(Solved::TwiceTheDigits(models.cuts.len()));
@@ -162,8 +184,14 @@ impl Rescue<'_> {
                 Outcome::Close => pool.proceed()?,
             }
         }
-        let rows = &self.work.rows;
-        Ok(Solved::Refitted(self.refit.reduce_leading(models.ground.factor, &self.problem, pool, rows)?))
+        let Self { work, refit, problem, .. } = self;
+        let factor = models.ground.factor;
+        // Plain arithmetic knows lambda_min(M) to about 1e-13.
+        if visited.least > certain_least(factor).max(100.0 * DOUBLE_DOUBLE_MIN_EIGENVALUE) {
+            refit.reduce(factor, problem, pool, &work.rows)?;
+            return Ok(Solved::Refitted(factor.rank));
+        }
+        Ok(Solved::Refitted(refit.reduce_leading(factor, problem, pool, &work.rows)?))
     }
 
     /// Factors with twice the digits; an estimate of lambda_min(M).
@@ -238,6 +266,7 @@ mod tests {
     use crate::holdout::nested::curves::tests::{curves, refitted};
     use crate::holdout::scheme::{Held, Scheme};
     use crate::holdout::walk::Ground;
+    use crate::sets::Sets;
     use crate::testing::{Example, assert_close, bits, pool, sets, singletons};
 
     /// Nearly lost, all but lost, and lost beyond twice the digits: those of the last model. Equal sets of different
@@ -257,6 +286,31 @@ mod tests {
             assert_close(&found.squares[..4], &expected[..4], 1e-12);
             let error = (found.squares[4] / expected[4] - 1.0).abs();
             assert!(error < tolerance, "{fraction}: {error}");
+        }
+    }
+
+    /// What is lost to twice the digits, and what costs less so: neighbours of a small problem that share their rows.
+    #[test]
+    fn pairs_are_refitted_where_they_must_or_where_that_is_cheaper() {
+        for (rows, cheap) in [(120, true), (2000, false)] {
+            let example = Example::new(rows, 60, 1);
+            let (problem, alone) = (example.problem(), singletons(rows));
+            let nested = Nested::new(&problem, &pool(1)).unwrap();
+            let held: Sets = (0..8).map(|i| (i..i + 5).collect::<Vec<usize>>()).collect();
+            let validated: Sets = (0..8).map(|i| vec![i]).collect();
+            let schemes = [Scheme { held: Held::Sets(&held), validated: &validated, order: None }];
+            let ground = Ground { factor: &nested.factor, schemes: &schemes, rows: &alone, hat: None };
+            let models = AllModels { ground: &ground, nested: &nested, cuts: &[60] };
+            let visited = |step: usize| {
+                let least = if step == 2 { 0.0 } else { 1e-9 };
+                Visited { scheme: 0, step, pair: step, least, refit: false }
+            };
+            let mut steps: Vec<Visited> = (0..8).rev().map(visited).collect();
+            models.plan(&mut steps);
+            let found: Vec<(usize, bool)> =
+                steps.iter().map(|visited| (visited.step, visited.refit)).collect();
+            let order = if cheap { [0, 1, 2, 3, 4, 5, 6, 7] } else { [0, 1, 3, 4, 5, 6, 7, 2] };
+            assert_eq!(found, order.map(|step| (step, cheap || step == 2)));
         }
     }
 
@@ -295,7 +349,7 @@ mod tests {
         assert_eq!(changes, [true, false, true, true, true]);
         start(&mut rescue);
         let found = [0, 1, 2, 3, 4].map(|pair| {
-            let visited = Visited { scheme: 0, step: pair, pair, least: 1e-10 };
+            let visited = Visited { scheme: 0, step: pair, pair, least: 1e-10, refit: false };
             assert_eq!(rescue.solve(visited, &pool(1)), Ok(5));
             assert!(matches!(rescue.solved, Some(Solved::TwiceTheDigits(5))));
             assert_close(
@@ -306,10 +360,10 @@ mod tests {
             bits(&rescue.curve.squares)
         });
         assert_eq!(found[0], found[1]);
-        // Where plain arithmetic leaves no doubt, twice the digits are not tried.
         start(&mut rescue);
         rescue.solved = None;
-        assert_eq!(rescue.solve(Visited { scheme: 0, step: 0, pair: 0, least: 0.0 }, &pool(1)), Ok(5));
+        let visited = Visited { scheme: 0, step: 0, pair: 0, least: 0.0, refit: true };
+        assert_eq!(rescue.solve(visited, &pool(1)), Ok(5));
         assert!(matches!(rescue.solved, Some(Solved::Refitted(5))));
         assert_close(&rescue.curve.squares, &refitted(&example, held.get(0), validated.get(0)), 1e-11);
     }

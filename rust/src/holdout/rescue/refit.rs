@@ -144,7 +144,7 @@ impl Refit {
     }
 
     /// Reduces all rows but those held out.
-    fn reduce(
+    pub(crate) fn reduce(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,

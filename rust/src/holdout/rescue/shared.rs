@@ -9,7 +9,6 @@ use pulp::Arch;
 
 use crate::error::Error;
 use crate::fit::linalg;
-use crate::fit::panels::PANEL;
 use crate::pool::Pool;
 
 /// The most sets of a group, each of which is a task.
@@ -19,11 +18,16 @@ const MOST_SETS: usize = 32;
 const SLOWER: f64 = 2.5;
 const COPIES: f64 = 8.0;
 
+/// Columns reflected together: two vectors of the widest kind, whose sums do not wait for each other.
+const LANES: usize = 16;
+
 /// Neighbouring sets in a list.
 pub(in crate::holdout) struct Group {
     pub sets: Range<usize>,
     /// All data that any of them holds out; none if nothing is to be shared.
     pub union: Vec<usize>,
+    /// In rows that are reduced.
+    pub cost: f64,
 }
 
 /// Groups sets of `data` that have so many rows and columns, so that it pays to reduce the rows once that a group leaves.
@@ -37,7 +41,7 @@ pub(in crate::holdout) fn groups(
     let whole = |held: usize| (rows - each * held as f64).max(columns) - columns / 3.0;
     let mut of_group = vec![0; data];
     let mut found: Vec<Group> = Vec::new();
-    let (mut listed, mut cost) = (0, 0.0);
+    let mut listed = 0;
     for (k, set) in sets.iter().enumerate() {
         let current = found.len();
         let alone = whole(set.len());
@@ -47,17 +51,17 @@ pub(in crate::holdout) fn groups(
             let (count, union) = (k + 1 - group.sets.start, group.union.len());
             let added = each * (count * union - listed - set.len()) as f64;
             let together = whole(union) + SLOWER * added + COPIES * count as f64;
-            if together < cost + alone {
+            if together < group.cost + alone {
                 group.union[before..].iter().for_each(|&datum| of_group[datum] = current);
                 group.sets.end = k + 1;
-                (listed, cost) = (listed + set.len(), together);
+                (listed, group.cost) = (listed + set.len(), together);
                 continue;
             }
             group.union.truncate(before);
         }
         set.iter().for_each(|&datum| of_group[datum] = current + 1);
-        found.push(Group { sets: k..k + 1, union: set.clone() });
-        (listed, cost) = (set.len(), alone);
+        found.push(Group { sets: k..k + 1, union: set.clone(), cost: alone });
+        listed = set.len();
     }
     found.iter_mut().filter(|group| group.sets.len() == 1).for_each(|group| group.union.clear());
     found
@@ -83,7 +87,7 @@ impl Shared {
     /// Takes the common rows' triangle, of `order` rows, which has so many entries and right-hand sides in a row.
     pub fn start<'a>(&mut self, order: usize, width: usize, column: impl Fn(usize) -> &'a [f64]) {
         self.order = order;
-        self.stride = width.next_multiple_of(PANEL);
+        self.stride = width.next_multiple_of(LANES);
         self.triangle.clear();
         self.triangle.resize(order * self.stride, 0.0);
         for j in 0..width {
@@ -146,17 +150,17 @@ impl Shared {
 #[inline(always)]
 fn reflect(reflector: &[f64], scale: f64, row: &mut [f64], added: &mut [f64], from: usize) {
     let stride = row.len();
-    for (k, head) in row.as_chunks_mut::<PANEL>().0.iter_mut().enumerate().skip(from / PANEL) {
-        let place = |i: usize| i * stride + k * PANEL;
+    for (k, head) in row.as_chunks_mut::<LANES>().0.iter_mut().enumerate().skip(from / LANES) {
+        let place = |i: usize| i * stride + k * LANES;
         let mut along = *head;
         for (i, v) in reflector.iter().enumerate() {
-            let rest = &added[place(i)..place(i) + PANEL];
+            let rest = &added[place(i)..place(i) + LANES];
             along.iter_mut().zip(rest).for_each(|(sum, x)| *sum += v * x);
         }
         along.iter_mut().for_each(|x| *x *= scale);
         head.iter_mut().zip(along).for_each(|(x, along)| *x -= along);
         for (i, v) in reflector.iter().enumerate() {
-            let rest = &mut added[place(i)..place(i) + PANEL];
+            let rest = &mut added[place(i)..place(i) + LANES];
             rest.iter_mut().zip(along).for_each(|(x, along)| *x -= v * along);
         }
     }
@@ -225,6 +229,7 @@ mod tests {
         assert_eq!(ranges, [0..3, 3..4, 4..6]);
         assert_eq!(found[0].union, (0..320).collect::<Vec<_>>());
         assert!(found[1].union.is_empty());
+        assert!(found[0].cost < found[1].cost + found[2].cost && found[1].cost < found[2].cost);
         assert_eq!(found[2].union, (690..995).collect::<Vec<_>>());
         let many = vec![around(500); 2 * MOST_SETS + 1];
         let sizes: Vec<usize> =
