@@ -215,8 +215,13 @@ impl Factor {
     /// of all rows times the root of lambda_min(M), so the rank of a design near rank loss asks for more. Estimates of
     /// lambda_min(M) may be ten times too large.
     pub(crate) fn closed_form_least(&self) -> f64 {
+        f64::max(2e-6, self.certain_least())
+    }
+
+    /// Above this estimate of lambda_min(M) training rows have the rank of the design.
+    pub(crate) fn certain_least(&self) -> f64 {
         let beyond_doubt = 2.0 * self.tolerance * (self.columns as f64).sqrt() / self.least;
-        if self.rank == 0 { 2e-6 } else { f64::max(2e-6, 10.0 * beyond_doubt * beyond_doubt) }
+        if self.rank == 0 { 0.0 } else { 10.0 * beyond_doubt * beyond_doubt }
     }
 
     /// Row `i` of the basis.
@@ -414,6 +419,23 @@ mod tests {
         let mut row = [0.0; 4];
         factor.full_rank_row(&example.problem(), 7, &mut row).unwrap();
         assert_eq!(row[3], example.responses[7] * example.root_weights[7]);
+    }
+
+    /// A column that is nearly another's copy: training rows that see a fraction of the rest may not see it at all.
+    #[test]
+    fn the_nearer_a_design_is_to_rank_loss_the_less_is_certain() {
+        let mut example = Example::new(30, 4, 1);
+        let factor = example.factor();
+        assert!(factor.certain_least() < 1e-20 && factor.closed_form_least() == 2e-6);
+        for matrix in [&mut example.design, &mut example.penalty] {
+            matrix.chunks_exact_mut(4).for_each(|row| row[3] = row[1] + 1e-12 * row[3]);
+        }
+        let factor = example.factor();
+        assert!((1e-5..10.0).contains(&factor.certain_least()));
+        assert_eq!(factor.closed_form_least(), factor.certain_least());
+        example.design.fill(0.0);
+        example.penalty.fill(0.0);
+        assert_eq!(example.factor().certain_least(), 0.0);
     }
 
     /// Powers of two, so that no digit changes.

@@ -148,12 +148,18 @@ fn reflect(mut panel: MatMut<'_, f64>, mut h: MatMut<'_, f64>, stack: &mut MemSt
     matmul(h_across, Accum::Add, v_rest.transpose(), w_rest, 1.0, Par::Seq);
 }
 
+/// The reflection of a column `(head, v)` to a multiple of the first unit vector: `I - u u^T / tau` with `u = (1, v)` of
+/// what v becomes; returns tau.
+pub fn householder(head: &mut f64, v: &mut [f64]) -> f64 {
+    make_householder_in_place(head, ColMut::from_slice_mut(v)).tau
+}
+
 /// Reflects the first column of a matrix to a multiple of the first unit vector, and the others along.
 fn reflect_column(a: MatMut<'_, f64>) -> f64 {
     let mut columns =
         a.col_iter_mut().filter_map(|column| column.try_as_col_major_mut()?.as_slice_mut().split_first_mut());
     let Some((head, v)) = columns.next() else { return f64::INFINITY };
-    let tau = make_householder_in_place(head, ColMut::from_slice_mut(v)).tau;
+    let tau = householder(head, v);
     for (head, rest) in columns {
         let along = (*head + dot(v, rest)) / tau;
         *head -= along;

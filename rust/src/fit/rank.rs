@@ -1,7 +1,7 @@
 //! Rank, and what else the triangle of a factored design tells.
 
 use crate::error::Error;
-use crate::fit::extremes::{EFFORTS, conditioning};
+use crate::fit::extremes::Extremes;
 use crate::fit::linalg::{self, dot};
 use crate::pool::Pool;
 
@@ -156,12 +156,11 @@ pub(crate) fn leading_rank(
         column(j)[j].abs() <= tolerance * longest
     };
     let all = (0..order).find(vanishing).unwrap_or(order);
+    let mut extremes = Extremes::new(triangle, order);
     first_deficient(all, |count| {
-        for (steps, margin) in EFFORTS {
-            let ratio = conditioning(triangle, order, count, steps) / tolerance;
-            if !(0.98..margin).contains(&ratio) {
-                return Ok(ratio > 1.0);
-            }
+        pool.proceed()?;
+        if let Some(full) = extremes.stands_out(count, tolerance) {
+            return Ok(full);
         }
         let mut r = vec![0.0; count * count];
         r.chunks_exact_mut(count).enumerate().for_each(|(j, to)| to[..=j].copy_from_slice(column(j)));
@@ -225,6 +224,8 @@ mod tests {
         let triangle = [1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1e-17];
         assert_eq!(leading_rank(&triangle, 3, 1e-15, &pool), Ok(2));
         assert_eq!(leading_rank(&triangle, 3, 1e-18, &pool), Ok(3));
+        // Of columns that are nothing beside those that follow.
+        assert_eq!(leading_rank(&[1e-90, 0.0, 0.0, 1.0], 2, 1e-15, &pool), Ok(1));
         // Kahan's triangle: no diagonal entry is small, yet all columns together are dependent.
         let (order, c) = (60, 0.6_f64);
         let s = (1.0 - c * c).sqrt();

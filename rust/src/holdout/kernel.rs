@@ -14,6 +14,8 @@
 //! Storage is in panels of eight rows: a panel holds its columns one after another, eight contiguous
 //! numbers each, so that every load of the inner loop is contiguous and aligned whatever the vector width.
 
+use std::ops::Range;
+
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::fit::panels::PANEL;
@@ -176,6 +178,19 @@ impl Bordered {
         Arch::new().dispatch(Carry { factor, shape: *shape, inverse_pivots, carried });
     }
 
+    /// Takes border rows, which are forward solves already, for what was carried.
+    pub fn carry_border(&mut self, rows: Range<usize>) {
+        let order = self.shape.order;
+        let mut carried = std::mem::take(&mut self.carried);
+        carried.clear();
+        carried.resize(rows.len().div_ceil(PANEL) * order * PANEL, 0.0);
+        for (k, row) in rows.enumerate() {
+            let lanes = carried[k / PANEL * order * PANEL..].chunks_exact_mut(PANEL);
+            lanes.zip(self.forward(row)).for_each(|(lane, u)| lane[k % PANEL] = u);
+        }
+        self.carried = carried;
+    }
+
     /// What `carry` found: eight rows at a time, `order` columns of eight lanes.
     pub fn carried(&self) -> &[[f64; PANEL]] {
         self.carried.as_chunks().0
@@ -217,16 +232,27 @@ impl Bordered {
 
     /// `L^T x`, to be added to `out`.
     pub fn add_transposed(&self, x: &[f64], out: &mut [f64]) {
-        let terms = self.shape.terms;
-        for (j, (out, pivot)) in out.iter_mut().zip(&self.inverse_pivots).enumerate() {
-            *out += x[j] / pivot;
-            for (panel, x) in x.chunks(PANEL).enumerate().skip(j / PANEL) {
-                let at = self.skip + panel * self.shape.stride() + (terms + j) * PANEL;
-                let first = if panel == j / PANEL { j % PANEL + 1 } else { 0 };
-                let column = &self.storage[at..at + x.len()];
-                *out += column[first..].iter().zip(&x[first..]).map(|(l, x)| l * x).sum::<f64>();
+        let Shape { order, terms, .. } = self.shape;
+        let mut sums = vec![[0.0; PANEL]; order];
+        Arch::new().dispatch(|| {
+            for (panel, x) in x.chunks(PANEL).enumerate() {
+                let at = self.skip + panel * self.shape.stride() + terms * PANEL;
+                let columns = self.storage[at..].as_chunks::<PANEL>().0;
+                let (before, own) = sums.split_at_mut(panel * PANEL);
+                let mut lanes = [0.0; PANEL];
+                lanes[..x.len()].copy_from_slice(x);
+                for (sums, column) in before.iter_mut().zip(columns) {
+                    sums.iter_mut().zip(column).zip(lanes).for_each(|((sum, l), x)| *sum += l * x);
+                }
+                // What stands above the diagonal of its own panel is not L's.
+                for (j, sums) in own.iter_mut().take(x.len()).enumerate() {
+                    let column = &columns[panel * PANEL + j];
+                    sums[j] += x[j] / self.inverse_pivots[panel * PANEL + j];
+                    (j + 1..x.len()).for_each(|i| sums[i] += column[i] * x[i]);
+                }
             }
-        }
+        });
+        out.iter_mut().zip(&sums).for_each(|(out, sums)| *out += sums.iter().sum::<f64>());
     }
 
     /// `L^T`, column-major.
@@ -553,6 +579,17 @@ mod tests {
                 let smallest = system.factor();
                 assert!(smallest > 0.0 && smallest <= 1.0);
                 let z = system.back_solve(0, 0).to_vec();
+                let mut forward = Vec::new();
+                system.forward_row(0, &mut forward);
+                let mut transposed: Vec<f64> = forward.iter().map(|y| 0.5 - y).collect();
+                system.add_transposed(&z, &mut transposed);
+                assert!(transposed.iter().all(|x| (x - 0.5).abs() < 1e-13));
+                system.carry([&right[..], &x[..order.min(x.len())]].into_iter());
+                let carried: Vec<f64> = system.carried().iter().map(|lanes| lanes[0]).collect();
+                assert!(carried.iter().zip(&forward).all(|(a, b)| (a - b).abs() < 1e-13));
+                system.carry_border(0..1);
+                assert!(system.carried().iter().zip(&forward).all(|(lanes, y)| lanes[0] == *y));
+                assert_eq!(system.carried().len(), order);
                 let again = system.solve(&right);
                 assert!(z.iter().zip(again).all(|(a, b)| (a - b).abs() < 1e-13));
                 for i in 0..order {

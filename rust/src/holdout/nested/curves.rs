@@ -2,11 +2,13 @@
 
 use super::dual::Dual;
 use super::{Nested, add_squares};
+use crate::fit::factor::Factor;
 use crate::fit::linalg::{self, dot};
 use crate::fit::panels::PANEL;
 use crate::fit::rank::leading_rank;
 use crate::holdout::kernel::Bordered;
 use crate::holdout::probes::{PROBES, sign};
+use crate::holdout::residuals::MOST_CARRIED;
 use crate::holdout::walk::{Ground, Question, Visit, Workspace};
 use crate::pool::Pool;
 
@@ -16,20 +18,42 @@ const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
 /// Above this lambda_min(M) the training rows have the rank of the design; below, those of an ill-conditioned one may not.
 pub(super) const CERTAIN_MIN_EIGENVALUE: f64 = 1e-5;
 
+/// Above this lambda_min(M) no model of this design loses rank.
+pub(super) fn certain_least(factor: &Factor) -> f64 {
+    CERTAIN_MIN_EIGENVALUE.min(factor.certain_least())
+}
+
 /// Validated rows solved for together.
 const CARRIED_ROWS: usize = 64;
 
 /// A pair that was visited.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy)]
 pub(super) struct Visited {
     pub(super) scheme: usize,
     pub(super) step: usize,
     pub(super) pair: usize,
+    /// An estimate of lambda_min(M) by plain arithmetic.
+    pub(super) least: f64,
+    /// To be refitted, as the rescue decides.
+    pub(super) refit: bool,
 }
 
 impl Visited {
-    fn new(at: Visit<'_>) -> Self {
-        Self { scheme: at.chain.schemes[at.k], step: at.step, pair: at.chain.pair(at.step) }
+    /// The data that it holds out.
+    pub(super) fn members(self, ground: &Ground<'_>) -> Vec<usize> {
+        let mut members = Vec::new();
+        ground.schemes[self.scheme].held.members(self.pair, &mut members);
+        members
+    }
+
+    fn new(at: Visit<'_>, least: f64) -> Self {
+        Self {
+            scheme: at.chain.schemes[at.k],
+            step: at.step,
+            pair: at.chain.pair(at.step),
+            least,
+            refit: false,
+        }
     }
 }
 
@@ -72,7 +96,7 @@ impl Scores {
         }
     }
 
-    fn note(&mut self, at: Visit<'_>, outcome: &Outcome) {
+    fn note(&mut self, at: Visit<'_>, least: f64, outcome: &Outcome) {
         let cuts = self.curve.squares.len();
         if let Outcome::All | Outcome::Leading(_) = outcome {
             let sums = &mut self.squares[at.k * cuts..(at.k + 1) * cuts];
@@ -80,8 +104,8 @@ impl Scores {
         }
         match *outcome {
             Outcome::All => {}
-            Outcome::Leading(defined) => self.cut.push((Visited::new(at), defined)),
-            Outcome::Close => self.close.push(Visited::new(at)),
+            Outcome::Leading(defined) => self.cut.push((Visited::new(at, least), defined)),
+            Outcome::Close => self.close.push(Visited::new(at, least)),
         }
     }
 }
@@ -109,15 +133,17 @@ impl Question for AllModels<'_> {
         } else {
             return false;
         };
-        answer.note(at, &outcome);
+        answer.note(at, 0.0, &outcome);
         true
     }
 
     fn primal(&self, work: &mut Workspace, at: Visit<'_>, pool: &Pool<'_>, answer: &mut Scores) {
-        let least = work.known_least(at.k).unwrap_or_else(|| work.factor_primal(self.ground.factor, at.k, 0));
+        let known = work.known_least(at.k);
+        let riding = if known.is_none() && work.validated <= MOST_CARRIED { work.validated } else { 0 };
+        let least = known.unwrap_or_else(|| work.factor_primal(self.ground.factor, at.k, riding));
         let validated = &work.rows[..work.validated];
-        let outcome = answer.curve.primal(self, &mut work.system, least, validated, pool);
-        answer.note(at, &outcome);
+        let outcome = answer.curve.primal(self, &mut work.system, least, (validated, riding > 0), pool);
+        answer.note(at, least, &outcome);
     }
 }
 
@@ -133,13 +159,13 @@ impl PairCurve {
         Self { squares: vec![0.0; cuts], forward: Vec::new() }
     }
 
-    /// By the factor of the pair's matrix, which has this smallest eigenvalue.
+    /// By the factor of the pair's matrix, which has this smallest eigenvalue; validated rows may ride along in its border.
     fn primal(
         &mut self,
         models: &AllModels<'_>,
         system: &mut Bordered,
         least: f64,
-        validated: &[usize],
+        (validated, riding): (&[usize], bool),
         pool: &Pool<'_>,
     ) -> Outcome {
         let factor = models.ground.factor;
@@ -150,7 +176,11 @@ impl PairCurve {
         let Self { squares, forward } = self;
         squares.fill(0.0);
         for rows in validated.chunks(CARRIED_ROWS) {
-            system.carry(rows.iter().map(|&i| factor.basis_row(i)));
+            if riding {
+                system.carry_border(responses + PROBES..responses + PROBES + rows.len());
+            } else {
+                system.carry(rows.iter().map(|&i| factor.basis_row(i)));
+            }
             for c in 0..responses {
                 system.forward_row(c, forward);
                 system.add_transposed(&factor.projection[c * rank..(c + 1) * rank], forward);
@@ -161,7 +191,7 @@ impl PairCurve {
                 }
             }
         }
-        if least > CERTAIN_MIN_EIGENVALUE { Outcome::All } else { self.cut(models, &system.upper(), pool) }
+        if least > certain_least(factor) { Outcome::All } else { self.cut(models, &system.upper(), pool) }
     }
 
     /// Which models the training rows determine, by their triangle `L^T R`, given L^T.

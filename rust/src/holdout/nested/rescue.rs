@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::curves::{AllModels, Outcome, PairCurve, Visited};
+use super::curves::{AllModels, Outcome, PairCurve, Visited, certain_least};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
@@ -10,11 +10,18 @@ use crate::fit::panels::PANEL;
 use crate::holdout::probes::{by_probe, sign};
 use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
+use crate::holdout::rescue::shared::{Group, groups};
 use crate::holdout::walk::{LastPair, Workspace};
 use crate::pool::Pool;
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
 const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
+
+/// Below this estimate by plain arithmetic lambda_min(M) is below that beyond doubt.
+const CERTAIN_LOSS: f64 = DOUBLE_DOUBLE_MIN_EIGENVALUE / 10.0;
+
+/// What a factor with twice the digits costs for each column, in rows that are reduced.
+const TWICE_THE_DIGITS: f64 = 0.7;
 
 /// Pairs close to rank loss that share matrices, at most.
 const LONGEST_RUN: usize = 64;
@@ -31,9 +38,22 @@ impl AllModels<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        steps.sort_unstable();
-        let whole = self.nested.whole_gram(pool)?;
+        self.plan(steps);
+        let (close, refitted) = steps.split_at(steps.partition_point(|visited| !visited.refit));
+        let groups = self.groups(refitted).0;
+        let run = (close.len() / 16).clamp(1, LONGEST_RUN);
+        let runs = close.chunks(run).map(|run| (run, &[][..]));
+        let tasks = runs.chain(groups.iter().map(|group| (&refitted[group.sets.clone()], &group.union[..])));
+        let whole = if close.is_empty() { None } else { Some(self.nested.whole_gram(pool)?) };
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
+        let mut rest = &mut results[..];
+        let tasks: Vec<_> = tasks
+            .map(|(steps, union)| {
+                let (mine, after) = std::mem::take(&mut rest).split_at_mut(steps.len());
+                rest = after;
+                (steps, union, mine)
+            })
+            .collect();
         let failure = OnceLock::new();
         let workspace = || Rescue {
             models: self,
@@ -46,19 +66,16 @@ impl AllModels<'_> {
             refit: Refit::default(),
             solved: None,
         };
-        let run = (steps.len() / 16).clamp(1, LONGEST_RUN);
-        pool.run(steps.chunks(run).zip(results.chunks_mut(run)), workspace, |rescue, (steps, results)| {
-            rescue.solved = None;
-            rescue.last.clear(self.ground.rows.len());
-            rescue.last.gram.copy_from(whole);
-            for (&visited, result) in steps.iter().zip(results) {
-                match rescue.solve(visited, pool) {
-                    Ok(defined) => *result = (rescue.curve.squares.clone(), defined),
-                    Err(error) => {
-                        let _ = failure.set(error);
-                        return;
-                    }
-                }
+        pool.run(tasks.into_iter(), workspace, |rescue, (steps, union, results)| {
+            let solved = rescue.start(union, pool).and_then(|()| {
+                steps.iter().zip(results).try_for_each(|(&visited, result)| {
+                    let defined = rescue.solve(visited, pool)?;
+                    *result = (rescue.curve.squares.clone(), defined);
+                    Ok(())
+                })
+            });
+            if let Err(error) = solved {
+                let _ = failure.set(error);
             }
         })?;
         for (&visited, (squares, defined)) in steps.iter().zip(&results) {
@@ -70,11 +87,37 @@ impl AllModels<'_> {
     }
 }
 
+impl AllModels<'_> {
+    /// Puts pairs in order, and those last that are to be refitted: twice the digits are too few, or cost more.
+    fn plan(&self, steps: &mut [Visited]) {
+        steps.sort_unstable_by_key(|visited| (visited.scheme, visited.step));
+        let (groups, others) = self.groups(steps);
+        let columns = self.nested.factor.rank as f64;
+        for group in &groups {
+            let sets = group.sets.clone().filter(|&k| others[k]).count();
+            let cheap = group.cost < TWICE_THE_DIGITS * columns * sets as f64;
+            steps[group.sets.clone()].iter_mut().for_each(|v| v.refit = cheap || v.least < CERTAIN_LOSS);
+        }
+        steps.sort_unstable_by_key(|visited| (visited.refit, visited.scheme, visited.step));
+    }
+
+    /// Neighbours that are best refitted together; and by pair, whether it holds out others than the one before.
+    fn groups(&self, steps: &[Visited]) -> (Vec<Group>, Vec<bool>) {
+        let factor = &self.nested.factor;
+        let mut members: Vec<Vec<usize>> = steps.iter().map(|visited| visited.members(self.ground)).collect();
+        members.iter_mut().for_each(|members| members.sort_unstable());
+        let others = (0..steps.len()).map(|k| k == 0 || members[k] != members[k - 1]).collect();
+        let shape = (factor.problem_rows(), factor.coordinates() + factor.responses);
+        (groups(&members, self.ground.rows.len(), shape), others)
+    }
+}
+
 /// What a thread needs for pairs close to rank loss.
 struct Rescue<'a> {
     models: &'a AllModels<'a>,
     problem: Problem<'a>,
-    whole: &'a DdGram,
+    /// Of all rows, if twice the digits help any pair.
+    whole: Option<&'a DdGram>,
     work: Workspace,
     curve: PairCurve,
     last: LastPair<DdGram>,
@@ -93,13 +136,25 @@ enum Solved {
 }
 
 impl Rescue<'_> {
+    /// Before a run of neighbours, and data beyond which these hold out none, if they share what is left.
+    fn start(&mut self, union: &[usize], pool: &Pool<'_>) -> Result<(), Error> {
+        let Self { models, problem, whole, last, refit, solved, .. } = self;
+        let AllModels { ground, nested, .. } = **models;
+        *solved = None;
+        last.clear(ground.rows.len());
+        if let Some(whole) = whole {
+            last.gram.copy_from(whole);
+        }
+        refit.share(&nested.factor, problem, pool, &ground.rows_of(union))
+    }
+
     /// Fills the curve of a pair, and tells how many of the models are defined.
     fn solve(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<usize, Error> {
         self.work.list_pair(self.models.ground, visited.scheme, visited.pair);
         // Data in a cluster tend to hold out the same set.
-        let solved = match (self.update_gram(), self.solved) {
+        let solved = match (self.move_to_pair(!visited.refit), self.solved) {
             (false, Some(solved)) => solved,
-            _ => self.factor(pool)?,
+            _ => self.factor(visited, pool)?,
         };
         self.solved = Some(solved);
         let defined = match solved {
@@ -115,18 +170,28 @@ impl Rescue<'_> {
         Ok(defined)
     }
 
-    /// Factors the set at hand.
-    fn factor(&mut self, pool: &Pool<'_>) -> Result<Solved, Error> {
+    /// Factors the set at hand, or its training rows.
+    fn factor(&mut self, visited: Visited, pool: &Pool<'_>) -> Result<Solved, Error> {
         let models = self.models;
-        if self.double_double() >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
+        let least = if visited.refit { 0.0 } else { self.double_double() };
+        if least >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
+            if least > certain_least(models.ground.factor) {
+                return Ok(Solved::TwiceTheDigits(models.cuts.len()));
+            }
             match self.curve.cut(models, &self.factor.upper(), pool) {
                 Outcome::All => return Ok(Solved::TwiceTheDigits(models.cuts.len())),
                 Outcome::Leading(defined) => return Ok(Solved::TwiceTheDigits(defined)),
                 Outcome::Close => pool.proceed()?,
             }
         }
-        let rows = &self.work.rows;
-        Ok(Solved::Refitted(self.refit.reduce_leading(models.ground.factor, &self.problem, pool, rows)?))
+        let Self { work, refit, problem, .. } = self;
+        let factor = models.ground.factor;
+        // Plain arithmetic knows lambda_min(M) to about 1e-13.
+        if visited.least > certain_least(factor).max(100.0 * DOUBLE_DOUBLE_MIN_EIGENVALUE) {
+            refit.reduce(factor, problem, pool, &work.rows)?;
+            return Ok(Solved::Refitted(factor.rank));
+        }
+        Ok(Solved::Refitted(refit.reduce_leading(factor, problem, pool, &work.rows)?))
     }
 
     /// Factors with twice the digits; an estimate of lambda_min(M).
@@ -169,8 +234,8 @@ impl Rescue<'_> {
         Ok(())
     }
 
-    /// Turns the matrix into that of the pair at hand; whether that changes it.
-    fn update_gram(&mut self) -> bool {
+    /// Goes on to the pair at hand, and turns the matrix into its own if that is needed; whether the set is another.
+    fn move_to_pair(&mut self, gram: bool) -> bool {
         let Self { models, work, last, whole, .. } = self;
         let AllModels { ground, nested, .. } = **models;
         let change = work.change_from(last);
@@ -179,7 +244,11 @@ impl Rescue<'_> {
             return false;
         }
         let fetch = |i: usize| (ground.factor.basis_row(i), nested.right_row(i));
-        if added.len() + removed.len() > work.rows.len() {
+        if !gram {
+            last.set_members(&work.members[0]);
+            return true;
+        }
+        if let Some(whole) = whole.filter(|_| added.len() + removed.len() > work.rows.len()) {
             last.gram.copy_from(whole);
             last.gram.change(&work.rows, -1.0, fetch);
         } else {
@@ -197,6 +266,7 @@ mod tests {
     use crate::holdout::nested::curves::tests::{curves, refitted};
     use crate::holdout::scheme::{Held, Scheme};
     use crate::holdout::walk::Ground;
+    use crate::sets::Sets;
     use crate::testing::{Example, assert_close, bits, pool, sets, singletons};
 
     /// Nearly lost, all but lost, and lost beyond twice the digits: those of the last model. Equal sets of different
@@ -219,6 +289,31 @@ mod tests {
         }
     }
 
+    /// What is lost to twice the digits, and what costs less so: neighbours of a small problem that share their rows.
+    #[test]
+    fn pairs_are_refitted_where_they_must_or_where_that_is_cheaper() {
+        for (rows, cheap) in [(120, true), (2000, false)] {
+            let example = Example::new(rows, 60, 1);
+            let (problem, alone) = (example.problem(), singletons(rows));
+            let nested = Nested::new(&problem, &pool(1)).unwrap();
+            let held: Sets = (0..8).map(|i| (i..i + 5).collect::<Vec<usize>>()).collect();
+            let validated: Sets = (0..8).map(|i| vec![i]).collect();
+            let schemes = [Scheme { held: Held::Sets(&held), validated: &validated, order: None }];
+            let ground = Ground { factor: &nested.factor, schemes: &schemes, rows: &alone, hat: None };
+            let models = AllModels { ground: &ground, nested: &nested, cuts: &[60] };
+            let visited = |step: usize| {
+                let least = if step == 2 { 0.0 } else { 1e-9 };
+                Visited { scheme: 0, step, pair: step, least, refit: false }
+            };
+            let mut steps: Vec<Visited> = (0..8).rev().map(visited).collect();
+            models.plan(&mut steps);
+            let found: Vec<(usize, bool)> =
+                steps.iter().map(|visited| (visited.step, visited.refit)).collect();
+            let order = if cheap { [0, 1, 2, 3, 4, 5, 6, 7] } else { [0, 1, 3, 4, 5, 6, 7, 2] };
+            assert_eq!(found, order.map(|step| (step, cheap || step == 2)));
+        }
+    }
+
     /// A set that comes again is neither updated nor factored again; another is, whatever it starts from.
     #[test]
     fn equal_sets_share_a_factor() {
@@ -234,7 +329,7 @@ mod tests {
         let mut rescue = Rescue {
             models: &models,
             problem: nested.independent(&problem),
-            whole,
+            whole: Some(whole),
             work: Workspace::new(40),
             curve: PairCurve::new(5),
             last: LastPair::default(),
@@ -249,12 +344,13 @@ mod tests {
         start(&mut rescue);
         let changes = [0, 1, 2, 3, 4].map(|pair| {
             rescue.work.list_pair(&ground, 0, pair);
-            rescue.update_gram()
+            rescue.move_to_pair(true)
         });
         assert_eq!(changes, [true, false, true, true, true]);
         start(&mut rescue);
         let found = [0, 1, 2, 3, 4].map(|pair| {
-            assert_eq!(rescue.solve(Visited { scheme: 0, step: pair, pair }, &pool(1)), Ok(5));
+            let visited = Visited { scheme: 0, step: pair, pair, least: 1e-10, refit: false };
+            assert_eq!(rescue.solve(visited, &pool(1)), Ok(5));
             assert!(matches!(rescue.solved, Some(Solved::TwiceTheDigits(5))));
             assert_close(
                 &rescue.curve.squares,
@@ -264,5 +360,11 @@ mod tests {
             bits(&rescue.curve.squares)
         });
         assert_eq!(found[0], found[1]);
+        start(&mut rescue);
+        rescue.solved = None;
+        let visited = Visited { scheme: 0, step: 0, pair: 0, least: 0.0, refit: true };
+        assert_eq!(rescue.solve(visited, &pool(1)), Ok(5));
+        assert!(matches!(rescue.solved, Some(Solved::Refitted(5))));
+        assert_close(&rescue.curve.squares, &refitted(&example, held.get(0), validated.get(0)), 1e-11);
     }
 }

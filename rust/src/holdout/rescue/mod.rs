@@ -3,12 +3,14 @@
 pub mod double_double;
 pub(crate) mod refine;
 pub mod refit;
+pub(super) mod shared;
 
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
 use self::refine::{Inverse, NearSingular, Refiner, refinable};
 use self::refit::Refit;
+use self::shared::groups;
 use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
 use crate::holdout::plan::costs;
@@ -31,6 +33,13 @@ pub(super) struct Left<'a> {
 }
 
 impl Left<'_> {
+    /// The data that it holds out.
+    fn members(&self, ground: &Ground<'_>) -> Vec<usize> {
+        let mut held = Vec::new();
+        ground.schemes[self.scheme].held.members(self.pair, &mut held);
+        held
+    }
+
     fn accept(&mut self, factor: &Factor, status: Status) {
         unweight(factor, &self.rows, self.residuals);
         *self.status = Some(status);
@@ -39,7 +48,7 @@ impl Left<'_> {
 
 impl Factor {
     /// Solves the pairs that the closed form did not, those together that hold out the same: refines sets in small batches,
-    /// and refits those for which that is not enough, each as a task of its own since it costs far more.
+    /// and refits those for which that is not enough, neighbours together where these share most of their training rows.
     pub(super) fn rescue(
         &self,
         problem: &Problem<'_>,
@@ -62,16 +71,29 @@ impl Factor {
             },
         )?;
         sets.retain(|pairs| pairs[0].status.is_none());
-        pool.run(
-            sets.into_iter(),
-            || (Refit::default(), workspace()),
-            |(refit, workspace), mut pairs| {
-                workspace.list_pair(ground, pairs[0].scheme, pairs[0].pair);
-                if let Err(error) = self.refit(problem, refit, &workspace.rows, &mut pairs, pool) {
-                    let _ = failure.set(error);
-                }
-            },
-        )?;
+        along_the_way(ground, &mut sets);
+        let members: Vec<Vec<usize>> = sets.iter().map(|pairs| pairs[0].members(ground)).collect();
+        let groups =
+            groups(&members, ground.rows.len(), (self.problem_rows(), self.coordinates() + self.responses));
+        let mut rest = &mut sets[..];
+        let tasks: Vec<_> = groups
+            .iter()
+            .map(|group| {
+                let (mine, after) = std::mem::take(&mut rest).split_at_mut(group.sets.len());
+                rest = after;
+                (group, mine)
+            })
+            .collect();
+        pool.run(tasks.into_iter(), Refit::default, |refit, (group, sets)| {
+            let refitted = refit.share(self, problem, pool, &ground.rows_of(&group.union)).and_then(|()| {
+                sets.iter_mut().zip(&members[group.sets.clone()]).try_for_each(|(pairs, members)| {
+                    self.refit(problem, refit, &ground.rows_of(members), pairs, pool)
+                })
+            });
+            if let Err(error) = refitted {
+                let _ = failure.set(error);
+            }
+        })?;
         failure.into_inner().map_or(Ok(()), Err)
     }
 
@@ -126,8 +148,7 @@ fn grouped<'a>(ground: &Ground<'_>, left: Vec<Left<'a>>) -> Vec<Vec<Left<'a>>> {
     let mut sets: Vec<Vec<Left<'a>>> = Vec::new();
     let mut known: HashMap<Vec<usize>, usize> = HashMap::new();
     for pair in left {
-        let mut held = Vec::new();
-        ground.schemes[pair.scheme].held.members(pair.pair, &mut held);
+        let mut held = pair.members(ground);
         held.sort_unstable();
         let set = *known.entry(held).or_insert(sets.len());
         match sets.get_mut(set) {
@@ -136,6 +157,20 @@ fn grouped<'a>(ground: &Ground<'_>, left: Vec<Left<'a>>) -> Vec<Vec<Left<'a>>> {
         }
     }
     sets
+}
+
+/// Puts sets in the order in which neighbours come one after another, where their scheme knows one.
+fn along_the_way(ground: &Ground<'_>, sets: &mut [Vec<Left<'_>>]) {
+    let steps: Vec<Vec<usize>> = ground
+        .schemes
+        .iter()
+        .map(|scheme| {
+            let mut steps: Vec<usize> = (0..scheme.validated.len()).collect();
+            scheme.order.into_iter().flatten().enumerate().for_each(|(step, &pair)| steps[pair] = step);
+            steps
+        })
+        .collect();
+    sets.sort_by_key(|pairs| (pairs[0].scheme, steps[pairs[0].scheme][pairs[0].pair]));
 }
 
 impl Places {

@@ -7,6 +7,7 @@ use crate::error::Error;
 use crate::fit::factor::{Factor, Problem};
 use crate::fit::linalg::{self, QrScratch, dot};
 use crate::fit::rank::{leading_rank, numerical_rank};
+use crate::holdout::rescue::shared::Shared;
 use crate::pool::Pool;
 
 /// Training rows reduced at a time.
@@ -24,6 +25,7 @@ pub struct Refit {
     height: usize,
     reflectors: Vec<f64>,
     scratch: Option<QrScratch>,
+    shared: Shared,
 }
 
 impl Refit {
@@ -118,8 +120,31 @@ impl Refit {
         leading_rank(&triangle, factor.rank, factor.tolerance, pool)
     }
 
+    /// Reduces all rows but some, once for the sets that come next: none of them holds out others. Without any, nothing is
+    /// shared.
+    pub(crate) fn share(
+        &mut self,
+        factor: &Factor,
+        problem: &Problem<'_>,
+        pool: &Pool<'_>,
+        outside: &[usize],
+    ) -> Result<(), Error> {
+        self.shared.clear();
+        if outside.is_empty() {
+            return Ok(());
+        }
+        self.reduce(factor, problem, pool, outside)?;
+        let Self { shared, block, height, row, .. } = self;
+        shared.start(factor.coordinates(), row.len(), |j| &block[j * *height..]);
+        for &i in outside {
+            factor.full_rank_row(problem, i, row)?;
+            shared.push(i, row);
+        }
+        Ok(())
+    }
+
     /// Reduces all rows but those held out.
-    fn reduce(
+    pub(crate) fn reduce(
         &mut self,
         factor: &Factor,
         problem: &Problem<'_>,
@@ -129,9 +154,15 @@ impl Refit {
         let width = factor.coordinates() + factor.responses;
         self.held.resize(factor.problem_rows(), false);
         self.row.resize(width, 0.0);
-        self.height = (self.held.len() - rows.len()).clamp(width, width + REDUCED_ROWS);
         rows.iter().for_each(|&i| self.held[i] = true);
-        let reduced = self.triangle(factor, problem, pool, width);
+        let reduced = if self.shared.is_empty() {
+            self.height = (self.held.len() - rows.len()).clamp(width, width + REDUCED_ROWS);
+            self.triangle(factor, problem, pool, width)
+        } else {
+            self.height = width;
+            self.block.resize(width * width, 0.0);
+            self.shared.reduce(&self.held, &mut self.block, width, pool)
+        };
         rows.iter().for_each(|&i| self.held[i] = false);
         reduced
     }
@@ -239,6 +270,32 @@ mod tests {
             expected.iter_mut().enumerate().for_each(|(k, e)| *e *= example.root_weights[some[k / 2]]);
             assert_close(&found, &expected, 1e-13);
         }
+    }
+
+    /// Of the same sets, in any order, and of none.
+    #[test]
+    fn what_sets_share_is_reduced_once() {
+        let example = Example::new(60, 5, 2);
+        let (factor, problem, mut refit) = (example.factor(), example.problem(), Refit::default());
+        let mut share = |rows: &[usize]| {
+            refit.share(&factor, &problem, &pool(1), rows).unwrap();
+            for held in [&[7, 21, 30][..], &[21], &[21, 7, 58, 3], &[7, 21, 30]] {
+                assert_eq!(refit.refit(&factor, &problem, &pool(1), held), Ok(true));
+                let mut found = vec![0.0; 4];
+                refit.residuals(&factor, &problem, &[21, 50], &mut found).unwrap();
+                let mut expected = example.refit(held, &[21, 50]);
+                expected
+                    .iter_mut()
+                    .enumerate()
+                    .for_each(|(k, e)| *e *= example.root_weights[[21, 50][k / 2]]);
+                assert_close(&found, &expected, 1e-13);
+                assert_eq!(refit.reduce_leading(&factor, &problem, &pool(1), held), Ok(5));
+            }
+            refit.height
+        };
+        assert_eq!(share(&[58, 3, 7, 21, 30]), 7);
+        assert_eq!(share(&[]), 59);
+        assert_eq!(share(&[21, 30, 58, 3, 7]), 7);
     }
 
     /// A column that only two rows see, and fewer rows than columns.
