@@ -6,6 +6,7 @@ mod extremes;
 pub mod factor;
 mod householder;
 pub mod linalg;
+mod over_basis;
 pub(crate) mod panels;
 pub mod penalty_path;
 pub(crate) mod rank;
