@@ -7,8 +7,9 @@
 //! of what Q turns, so that nothing is multiplied by U itself. Matrices are column-major.
 
 use crate::error::Error;
-use crate::fit::linalg::{self, QrScratch};
+use crate::fit::linalg;
 use crate::fit::panels::{self, PANEL};
+use crate::fit::turn::Turn;
 use crate::pool::Pool;
 
 /// Splines that are one at a control point and zero at the others: a column each.
@@ -113,40 +114,7 @@ fn unit(order: usize) -> Vec<f64> {
     (0..order * order).map(|at| f64::from(u8::from(at / order == at % order))).collect()
 }
 
-/// The reflections Q that take a matrix to its triangle.
-struct Turn {
-    reflected: Vec<f64>,
-    reflectors: Vec<f64>,
-    rows: usize,
-    columns: usize,
-}
-
 impl Turn {
-    fn new(mut reflected: Vec<f64>, rows: usize, columns: usize, pool: &Pool<'_>) -> Result<Self, Error> {
-        let mut reflectors = vec![0.0; linalg::reflector_size(rows, columns)];
-        let mut scratch = QrScratch::new(rows, columns);
-        linalg::qr_in_place(&mut reflected, rows, columns, &mut reflectors, &mut scratch, pool)?;
-        Ok(Self { reflected, reflectors, rows, columns })
-    }
-
-    /// The triangle, square.
-    fn triangle(&self) -> Vec<f64> {
-        linalg::upper_triangle(&self.reflected, self.rows, self.columns)
-    }
-
-    /// `c <- Q c`.
-    fn apply(&self, c: &mut [f64], pool: &Pool<'_>) -> Result<(), Error> {
-        let mut scratch = QrScratch::new(self.rows, self.columns.max(c.len() / self.rows.max(1)));
-        linalg::apply_q(&self.reflected, (self.rows, self.columns), &self.reflectors, c, &mut scratch, pool)
-    }
-
-    /// `c <- Q^T c`.
-    fn apply_transposed(&self, c: &mut [f64], pool: &Pool<'_>) -> Result<(), Error> {
-        let mut scratch = QrScratch::new(self.rows, self.columns.max(c.len() / self.rows.max(1)));
-        let shape = (self.rows, self.columns);
-        linalg::apply_q_transposed(&self.reflected, shape, &self.reflectors, c, &mut scratch, pool)
-    }
-
     /// U times a matrix of some columns.
     fn side(&self, matrix: &[f64], columns: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         let mut turned = vec![0.0; self.rows * columns];

@@ -12,3 +12,4 @@ pub mod penalty_path;
 pub(crate) mod rank;
 mod residuals;
 mod survey;
+mod turn;
