@@ -93,7 +93,8 @@ class BSpline(LocalLifting):
         affine = np.column_stack([np.ones(len(i)), i - i.mean(), j - j.mean()])
         bending = np.empty((len(i) - 3, len(i)))
         # On the complement of the affine functions, so that rounding does not bend them.
-        bending[:, order.ravel()] = _core.reduced_bending(rows, affine) / np.sqrt(8 * np.pi)
+        bent = _core.reduced_bending(rows, affine, check.threads(None))
+        bending[:, order.ravel()] = bent / np.sqrt(8 * np.pi)
         return bending
 
     @classmethod

@@ -57,9 +57,9 @@ class NestedSplines:
     def bending(self) -> Floats:
         """Return the rows of `nested_bending`, (l - 3, l)."""
         count = len(self._centres)
-        weights = np.vstack([-self._shares[3:].T, np.eye(count - 3)])
         rows = np.zeros((count - 3, count))
-        rows[:, 3:] = _core.leading_bending(kernel(self._centres, self._centres), weights) / self._scale
+        kernels = kernel(self._centres, self._centres)
+        rows[:, 3:] = _core.leading_bending(kernels, self._shares, check.threads(None)) / self._scale
         return rows
 
     def _barycentric(self, points: Floats) -> Floats:

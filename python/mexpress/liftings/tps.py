@@ -97,7 +97,7 @@ class ThinPlateSpline(Lifting):
 
     def _weights(self, parameters: Floats) -> Floats:
         """Return the weights of the terms, (l + 3, r)."""
-        return _core.product(self._solution[0], np.ascontiguousarray(parameters))
+        return _core.product(self._solution[0], np.ascontiguousarray(parameters), check.threads(None))
 
     def _splines(self, evaluate: Callable[..., Floats], points: Floats, weights: Floats) -> Floats:
         """Have the core sum the terms phi(|q - c_k|), x, y and 1 at points, in normalised coordinates."""
@@ -127,7 +127,8 @@ class ThinPlateSpline(Lifting):
         results do not depend on the threads of NumPy's BLAS.
         """
         here = self._normalised(self.control_points)
-        return _core.cardinal_splines(kernel(here, here), np.column_stack([here, np.ones(len(here))]))
+        affine = np.column_stack([here, np.ones(len(here))])
+        return _core.cardinal_splines(kernel(here, here), affine, check.threads(None))
 
 
 def kernel(points: Floats, centres: Floats) -> Floats:

@@ -292,7 +292,7 @@ class LinearDesign(Design[ModelT]):
         with np.errstate(over="ignore", invalid="ignore"):
             solution = np.asarray(x, dtype=np.float64)[:count]
             columns = np.ascontiguousarray(solution.reshape(count, -1))
-            product = _core.product(self.basis.parameters(count), columns)
+            product = _core.product(self.basis.parameters(count), columns, check.threads(None))
             parameters = self.centre + product.reshape(solution.shape)
         largest = float(np.abs(parameters).max())
         if not largest <= check.LARGEST_PARAMETER:  # the user has not given them
@@ -370,7 +370,8 @@ class FractionalDesign(Design[ModelT]):
         functions = self.basis.parameters(count)
         constant, varying = self.basis.denominators(functions, self.normal)
         denominator = constant + (varying * third).sum(axis=1)
-        numerators = _core.product(self.scale * functions, np.column_stack([first, second]))
+        columns = np.column_stack([first, second])
+        numerators = _core.product(self.scale * functions, columns, check.threads(None))
         numerators += np.outer(denominator, self.centre)
         parameters = np.column_stack([numerators, denominator])
         return self._model(count, parameters, smoothing)

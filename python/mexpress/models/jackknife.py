@@ -9,6 +9,8 @@ from typing import Generic
 
 import numpy as np
 
+from mexpress import _core
+from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.leastsquares.model import cross_validate_all
 from mexpress.models.design import Design, ModelT
@@ -48,6 +50,7 @@ class Jackknife(Generic[ModelT]):
 
     With an orthonormal basis Q of the weighted design over its penalty rows, Q R = [sqrt(w) A; sqrt(s) Z], the
     coefficients without datum i are x - R^-1 Q_i^T sqrt(w_i) e_(i), e_(i) its leave-one-out residuals (equation 6).
+    All products are the core's, whose results do not depend on the threads of NumPy's BLAS.
 
     Parameters
     ----------
@@ -69,14 +72,12 @@ class Jackknife(Generic[ModelT]):
 
     def __init__(self, design: Design[ModelT], smoothing: float) -> None:
         self._design = design
-        fit = design.fit(smoothing)
+        self._fit = fit = design.fit(smoothing)
         n, g = fit.n_data, design.coupling
-        roots = np.ones(n) if design.weights is None else np.sqrt(design.weights)
         left_out = cross_validate_all(fit, {"": leave_one_out(n)}, None)[""].residuals
-        basis, triangle = np.linalg.qr(_stacked(design, roots, smoothing))
-        self._basis, self._triangle = basis[: g * n], triangle
-        self._coefficients = fit.coefficients.reshape(len(triangle), -1)
-        self._changes = left_out.reshape(n, g, -1) * roots[:, None, None]
+        self._basis = fit.weighted_basis
+        self._coefficients = fit.coefficients.reshape(len(fit.coefficients), -1)
+        self._changes = left_out.reshape(n, g, -1)
 
     def residuals(self) -> Floats:
         """Return how far every datum is from the model without it, (n, d); NaN if the others determine no model."""
@@ -98,16 +99,15 @@ class Jackknife(Generic[ModelT]):
         step = max(1, _ENTRIES // (3 * n * max(g, r)))
         for first in range(0, len(points), step):
             rows, numbers = self._whole(points[first : first + step])
-            together = (rows @ self._basis.T).reshape(*rows.shape[:2], n, g)
+            together = _product(rows, self._basis.T).reshape(*rows.shape[:2], n, g)
             changes = np.einsum("fkng,ngr->fknr", together, self._changes, optimize=True)
             yield self._design.values_of(numbers[:, :, None] - changes)
 
     def _whole(self, points: Floats) -> tuple[Floats, Floats]:
         """Return rows at points over the orthonormal basis, (f, k, p), and numbers of the whole model, (f, k, r)."""
         rows, constants = self._design.rows_at(points)
-        numbers = rows @ self._coefficients + constants[:, :, None]
-        flat = rows.reshape(-1, rows.shape[-1])
-        return np.linalg.solve(self._triangle.T, flat.T).T.reshape(rows.shape), numbers
+        numbers = _product(rows, self._coefficients) + constants[:, :, None]
+        return self._fit.over_basis(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape), numbers
 
 
 def jackknife_plus(design: Design[ModelT], smoothing: float, points: Floats, level: float) -> Interval:
@@ -137,6 +137,7 @@ def _smallest(bounds: Floats, rank: int) -> Floats:
     return np.asarray(np.partition(bounds, rank - 1, axis=1)[:, rank - 1])
 
 
-def _stacked(design: Design[ModelT], roots: Floats, smoothing: float) -> Floats:
-    weighted = design.A * np.repeat(roots, design.coupling)[:, None]
-    return np.vstack([weighted, math.sqrt(smoothing) * design.bending()]) if smoothing else weighted
+def _product(rows: Floats, columns: Floats) -> Floats:
+    flat = rows.reshape(-1, rows.shape[-1])
+    product = _core.product(flat, np.ascontiguousarray(columns), check.threads(None))
+    return product.reshape(*rows.shape[:-1], -1)

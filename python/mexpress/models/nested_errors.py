@@ -3,8 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.leastsquares import LeastSquares
 from mexpress.liftings import nested_basis
 
 _BLOCK = 4000
@@ -50,18 +52,20 @@ def nested_errors(
     ((48,), True)
     """
     unseen = check.points(unseen, "unseen")
-    orthonormal, triangle = np.linalg.qr(nested_basis(points, control_points))
-    measured = check.columns(values, "values", len(orthonormal)).reshape(len(orthonormal), -1)
-    coefficients = orthonormal.T @ measured
+    functions = nested_basis(points, control_points)
+    measured = check.columns(values, "values", len(functions)).reshape(len(functions), -1)
+    fit = LeastSquares(functions, measured)
+    basis = np.ascontiguousarray(fit.weighted_basis.T)
+    coefficients = _core.product(basis, np.ascontiguousarray(measured), check.threads(None))
     expected = check.columns(truth, "truth", len(unseen)).reshape(len(unseen), -1)
     if expected.shape[1] != measured.shape[1]:
         rule = f"It must have as many columns as values, {measured.shape[1]}."
         check.refuse("truth", rule, f"{expected.shape[1]}")
-    total = np.zeros(len(triangle))
+    total = np.zeros(functions.shape[1])
     for start in range(0, len(unseen), _BLOCK):
         some = slice(start, start + _BLOCK)
         # Columns orthonormal over the data: a model of l control points has the first l columns.
-        columns = np.linalg.solve(triangle.T, nested_basis(unseen[some], control_points).T)
+        columns = fit.over_basis(nested_basis(unseen[some], control_points)).T
         for along, wanted in zip(coefficients.T, expected[some].T, strict=True):
             predicted = np.cumsum(columns * along[:, None], axis=0)
             total += ((predicted - wanted) ** 2).sum(axis=1)

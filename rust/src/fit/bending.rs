@@ -3,11 +3,13 @@
 //! Of weights w with `P^T w = 0`, P the affine functions at the control points, those of a thin-plate spline bend it by
 //! `w^T K w`, with K its kernels at the control points. On the complement U of P, `U^T K U` is positive definite.
 //!
-//! Everything here is done on one thread, so that no bit depends on how many there are. Matrices are column-major.
+//! An orthogonal Q, of as many reflections as there are affine functions, has U in its last columns. Whatever is on U is a part
+//! of what Q turns, so that nothing is multiplied by U itself. Matrices are column-major.
 
 use crate::error::Error;
-use crate::fit::linalg::{self, QrScratch};
-use crate::fit::panels;
+use crate::fit::linalg;
+use crate::fit::panels::{self, PANEL};
+use crate::fit::turn::Turn;
 use crate::pool::Pool;
 
 /// Splines that are one at a control point and zero at the others: a column each.
@@ -20,107 +22,129 @@ pub struct Cardinal {
 
 /// The cardinal splines of kernels (l x l, symmetric) and affine functions (l x a) at l control points.
 ///
-/// With `U^T K U = L L^T`, `Z = L^-1 U^T` and weights `Z^T Z`; the affine part is that of what these leave: `P^+ (I - K Z^T Z)`.
+/// With `P = Q [R; 0]` and `Q^T K Q = [., C; C^T, L L^T]`, `Z = [0, L^-1] Q^T` and weights `Z^T Z`; the affine part is that of
+/// what these leave: `P^+ (I - K Z^T Z) = R^-1 [I, -C L^-T L^-1] Q^T`.
 pub fn cardinal(kernels: &[f64], affine: &[f64], order: usize, pool: &Pool<'_>) -> Result<Cardinal, Error> {
-    let width = affine.len() / order.max(1);
-    let split = Split::new(affine, order, width, pool)?;
-    let side = split.columns(width..order, pool)?;
-    let count = order - width;
-    let lower = definite(kernels, &side, order, count, pool)?;
-    let mut rows = linalg::transposed(&side, order);
-    linalg::solve_lower(&lower, count, &mut rows, order);
-    let bending = linalg::transposed(&rows, count);
-    let weights = linalg::product(&bending, &rows, order, count, order);
-    let mut rest = linalg::product(kernels, &weights, order, order, order);
-    rest.iter_mut().for_each(|x| *x = -*x);
-    (0..order).for_each(|j| rest[j * (order + 1)] += 1.0);
-    let along = linalg::transposed(&split.columns(0..width, pool)?, order);
-    let mut part = linalg::product(&along, &rest, width, order, order);
-    linalg::solve_upper(&split.reflected, order, width, &mut part, order);
-    let columns = weights.chunks(order.max(1)).zip(part.chunks(width.max(1)));
-    let weights = columns.flat_map(|(w, a)| w.iter().chain(a)).copied().collect();
-    Ok(Cardinal { weights, bending })
+    let turn = Turn::new(affine.to_vec(), order, affine.len() / order.max(1), pool)?;
+    let (width, count) = (turn.columns, order - turn.columns);
+    let (across, lower) = turn.split(kernels, pool)?;
+    let inverse = inverse_transposed(&lower, count, pool)?;
+    let energy = gram(&inverse, count, pool)?;
+    let mut part = unit(width);
+    part.extend(linalg::product(&across, &energy, width, count, count).into_iter().map(|x| -x));
+    linalg::solve_upper(&turn.reflected, order, width, &mut part, order);
+    let mut part = linalg::transposed(&part, width);
+    turn.apply(&mut part, pool)?;
+    let mut weights = turn.side(&energy, count, pool)?;
+    weights = turn.side(&linalg::transposed(&weights, order), order, pool)?;
+    let columns = weights.chunks(order.max(1)).enumerate();
+    let affine = |j: usize| part.iter().skip(j).step_by(order);
+    let weights = columns.flat_map(|(j, w)| w.iter().chain(affine(j))).copied().collect();
+    Ok(Cardinal { weights, bending: turn.side(&linalg::transposed(&inverse, count), count, pool)? })
 }
 
-/// The upper triangle of which the leading parts are the rows Z of the leading columns of weights W (l x k):
-/// `Z^T Z = W^T K W`.
+/// The upper triangle of which the leading parts are the rows Z of the leading functions beyond the affine ones: a kernel each,
+/// less shares (l x a) of the first a kernels: `Z^T Z = W^T K W` with `W^T = [-S, I]`. The shares of the first are their own.
 ///
-/// With `W = U T` and `U^T K U = L L^T`, it is `L^T T`: what the columns' lengths are costs no digit.
-pub fn leading(kernels: &[f64], weights: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-    let count = weights.len() / order.max(1);
-    let split = Split::new(weights, order, count, pool)?;
-    let side = split.columns(0..count, pool)?;
-    let lower = definite(kernels, &side, order, count, pool)?;
-    let upper = linalg::transposed(&lower, count);
-    Ok(linalg::product(&upper, &split.triangle(), count, count, count))
+/// With `U^T K U = L L^T`, Z is the triangle of `L^T U^T W`: what the columns' lengths are costs no digit.
+pub fn leading(kernels: &[f64], shares: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    let turn = Turn::new(shares.to_vec(), order, shares.len() / order.max(1), pool)?;
+    let (width, count) = (turn.columns, order - turn.columns);
+    let (_, lower) = turn.split(kernels, pool)?;
+    let mut bent = Vec::with_capacity(count * count);
+    for column in turn.side(&lower, count, pool)?.chunks(order.max(1)) {
+        let (first, rest) = column.split_at(width);
+        let at = bent.len();
+        bent.extend_from_slice(rest);
+        for (share, x) in shares.chunks(order).zip(first) {
+            bent[at..].iter_mut().zip(&share[width..]).for_each(|(bent, share)| *bent -= share * x);
+        }
+    }
+    Ok(Turn::new(linalg::transposed(&bent, count), count, count, pool)?.triangle())
 }
 
-/// As few rows as have the energy of the given ones (m x l) on the complement of affine functions (l x a), on which they have
-/// none: Z^T, l x (l - a).
+/// As few rows as have the energy of the given ones (m x l, row-major) on the complement of affine functions (l x a), on which
+/// they have none: Z^T, l x (l - a).
 pub fn reduced(rows: &[f64], affine: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-    let (count, width) = (rows.len() / order.max(1), affine.len() / order.max(1));
-    let side = Split::new(affine, order, width, pool)?.columns(width..order, pool)?;
-    let bent = linalg::product(rows, &side, count, order, order - width);
-    let triangle = Split::new(&bent, count, order - width, pool)?.triangle();
-    Ok(linalg::product(
-        &side,
-        &linalg::transposed(&triangle, order - width),
-        order,
-        order - width,
-        order - width,
-    ))
+    let turn = Turn::new(affine.to_vec(), order, affine.len() / order.max(1), pool)?;
+    let (width, count) = (turn.columns, order - turn.columns);
+    let mut turned = rows.to_vec();
+    turn.apply_transposed(&mut turned, pool)?;
+    let mut bent = Vec::with_capacity(turned.len());
+    turned.chunks(order).for_each(|row| bent.extend_from_slice(&row[width..]));
+    drop(turned);
+    pool.proceed()?;
+    let bent = linalg::transposed(&bent, count);
+    pool.proceed()?;
+    let triangle = Turn::new(bent, rows.len() / order, count, pool)?.triangle();
+    turn.side(&linalg::transposed(&triangle, count), count, pool)
 }
 
-/// The factor of `U^T K U`, lower.
-fn definite(
-    kernels: &[f64],
-    side: &[f64],
-    order: usize,
-    count: usize,
-    pool: &Pool<'_>,
-) -> Result<Vec<f64>, Error> {
-    let product = linalg::product(kernels, side, order, order, count);
-    let gram = linalg::product(&linalg::transposed(side, order), &product, count, order, count);
-    panels::cholesky(gram, count, pool)?.ok_or(Error::TooNear)
+/// `L^-T`, row-major.
+fn inverse_transposed(lower: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    let mut inverse = vec![0.0; order * order];
+    let panels = inverse.chunks_mut((PANEL * order).max(1)).enumerate();
+    pool.run(panels, Vec::new, |lanes, (panel, rows)| {
+        let first = panel * PANEL;
+        lanes.clear();
+        lanes.resize(order - first, [0.0; PANEL]);
+        lanes.iter_mut().enumerate().take(PANEL).for_each(|(k, lane)| lane[k] = 1.0);
+        panels::solve(&lower[first * (order + 1)..], order, order - first, lanes);
+        for (k, row) in rows.chunks_mut(order).enumerate() {
+            row[first..].iter_mut().zip(&*lanes).for_each(|(x, lane)| *x = lane[k]);
+        }
+    })?;
+    Ok(inverse)
 }
 
-/// A matrix, reflected to a triangle.
-struct Split {
-    reflected: Vec<f64>,
-    reflectors: Vec<f64>,
-    shape: (usize, usize),
+/// Rows of a Gram matrix that are multiplied at once, of a matrix of a thousand columns.
+const BAND: usize = 64;
+
+/// `X X^T`, with X (order x order) row-major.
+fn gram(rows: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+    let mut gram = vec![0.0; order * order];
+    let band = (BAND * 1000 / order.max(1)).clamp(PANEL, BAND);
+    let bands = gram.chunks_mut((band * order).max(1)).enumerate();
+    pool.run(bands, || (), |(), (k, out)| linalg::gram_rows(rows, order, k * band, out, order))?;
+    linalg::mirror(&mut gram, order);
+    Ok(gram)
 }
 
-impl Split {
-    fn new(matrix: &[f64], rows: usize, columns: usize, pool: &Pool<'_>) -> Result<Self, Error> {
-        let (mut reflected, mut reflectors) =
-            (matrix.to_vec(), vec![0.0; linalg::reflector_size(rows, columns)]);
-        let mut scratch = QrScratch::new(rows, columns);
-        linalg::qr_in_place(&mut reflected, rows, columns, &mut reflectors, &mut scratch, pool)?;
-        Ok(Self { reflected, reflectors, shape: (rows, columns) })
+fn unit(order: usize) -> Vec<f64> {
+    (0..order * order).map(|at| f64::from(u8::from(at / order == at % order))).collect()
+}
+
+impl Turn {
+    /// U times a matrix of some columns.
+    fn side(&self, matrix: &[f64], columns: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
+        let mut turned = vec![0.0; self.rows * columns];
+        let lower = matrix.chunks((self.rows - self.columns).max(1));
+        for (column, lower) in turned.chunks_mut(self.rows.max(1)).zip(lower) {
+            column[self.columns..].copy_from_slice(lower);
+        }
+        self.apply(&mut turned, pool)?;
+        Ok(turned)
     }
 
-    /// Its upper triangle, square.
-    fn triangle(&self) -> Vec<f64> {
-        let (rows, columns) = self.shape;
-        linalg::upper_triangle(&self.reflected, rows, columns)
-    }
-
-    /// Columns of its orthogonal factor: the first span its own, the others the complement.
-    fn columns(&self, range: std::ops::Range<usize>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
-        let (rows, columns) = self.shape;
-        let mut units = vec![0.0; rows * range.len()];
-        range.enumerate().for_each(|(k, unit)| units[k * rows + unit] = 1.0);
-        let mut scratch = QrScratch::new(rows, columns.max(units.len() / rows.max(1)));
-        linalg::apply_q(&self.reflected, self.shape, &self.reflectors, &mut units, &mut scratch, pool)?;
-        Ok(units)
+    /// Of `Q^T K Q` with K symmetric, the part in the first rows and the last columns, and the lower factor of that in the last
+    /// ones.
+    fn split(&self, kernels: &[f64], pool: &Pool<'_>) -> Result<(Vec<f64>, Vec<f64>), Error> {
+        let mut turned = kernels.to_vec();
+        self.apply_transposed(&mut turned, pool)?;
+        turned = linalg::transposed(&turned, self.rows);
+        self.apply_transposed(&mut turned, pool)?;
+        let columns = || turned.chunks(self.rows.max(1)).skip(self.columns);
+        let across = columns().flat_map(|column| column[..self.columns].iter().copied()).collect();
+        let corner = columns().flat_map(|column| column[self.columns..].iter().copied()).collect();
+        let lower = panels::cholesky(corner, self.rows - self.columns, pool)?.ok_or(Error::TooNear)?;
+        Ok((across, lower))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_close, noise, pool};
+    use crate::testing::{assert_close, bits, noise, pool};
 
     /// Points, kernels and affine functions of thin-plate splines.
     fn splines(order: usize) -> (Vec<f64>, Vec<f64>) {
@@ -136,10 +160,6 @@ mod tests {
             (0..order * order).map(|at| kernel(at % order, at / order)).collect(),
             affine.map(|(i, k)| [place(i).0, place(i).1, 1.0][k]).collect(),
         )
-    }
-
-    fn unit(order: usize) -> Vec<f64> {
-        (0..order * order).map(|at| f64::from(u8::from(at / order == at % order))).collect()
     }
 
     #[test]
@@ -170,23 +190,22 @@ mod tests {
     fn leading_parts_of_the_triangle_have_the_energy_of_leading_weights() {
         let order = 30;
         let (kernels, affine) = splines(order);
-        // Of the fourth point on: itself less what the affine functions of the first three say of it.
+        // What the affine functions of the first three points say of the others.
         let corners: Vec<f64> = affine.chunks(order).flat_map(|column| column[..3].to_vec()).collect();
-        let cofactors = Split::new(&linalg::transposed(&corners, 3), 3, 3, &pool(1)).unwrap();
-        let weights: Vec<f64> = (3..order)
-            .flat_map(|k| {
-                let target = [affine[k], affine[order + k], affine[2 * order + k]];
-                let q = linalg::transposed(&cofactors.columns(0..3, &pool(1)).unwrap(), 3);
-                let mut shares = linalg::product(&q, &target, 3, 3, 1);
-                linalg::solve_upper(&cofactors.reflected, 3, 3, &mut shares, 1);
-                let mut column = vec![0.0; order];
-                column[k] = 1.0;
-                (0..3).for_each(|i| column[i] = -shares[i]);
-                column
-            })
-            .collect();
+        let cofactors = Turn::new(linalg::transposed(&corners, 3), 3, 3, &pool(1)).unwrap();
+        let mut shares = linalg::transposed(&affine, order);
+        cofactors.apply_transposed(&mut shares, &pool(1)).unwrap();
+        linalg::solve_upper(&cofactors.reflected, 3, 3, &mut shares, order);
+        let shares = linalg::transposed(&shares, 3);
+        // Of the fourth point on: itself less that.
+        let column = |k: usize| {
+            let mut column: Vec<f64> = (0..order).map(|i| f64::from(u8::from(i == k))).collect();
+            (0..3).for_each(|i| column[i] = -shares[i * order + k]);
+            column
+        };
+        let weights: Vec<f64> = (3..order).flat_map(column).collect();
         let count = order - 3;
-        let triangle = leading(&kernels, &weights, order, &pool(1)).unwrap();
+        let triangle = leading(&kernels, &shares, order, &pool(1)).unwrap();
         assert!((0..count * count).all(|at| at % count <= at / count || triangle[at] == 0.0));
         let energy = linalg::product(&linalg::transposed(&triangle, count), &triangle, count, count, count);
         let bent = linalg::product(&kernels, &weights, order, order, count);
@@ -199,14 +218,30 @@ mod tests {
         let (order, count) = (12, 40);
         let (_, affine) = splines(order);
         // Rows that see affine functions as far as rounding goes.
-        let side = Split::new(&affine, order, 3, &pool(1)).unwrap().columns(3..order, &pool(1)).unwrap();
+        let turn = Turn::new(affine.clone(), order, 3, &pool(1)).unwrap();
+        let side = turn.side(&unit(order - 3), order - 3, &pool(1)).unwrap();
         let rows = linalg::product(&noise(count * 9, 8), &linalg::transposed(&side, order), count, 9, order);
-        let found = reduced(&rows, &affine, order, &pool(1)).unwrap();
+        let found = reduced(&linalg::transposed(&rows, count), &affine, order, &pool(1)).unwrap();
         assert_eq!(found.len(), order * (order - 3));
         let energy = linalg::product(&found, &linalg::transposed(&found, order), order, order - 3, order);
         let expected = linalg::product(&linalg::transposed(&rows, count), &rows, order, count, order);
         assert_close(&energy, &expected, 1e-13);
         let bent = linalg::product(&linalg::transposed(&found, order), &affine, order - 3, order, 3);
         assert!(bent.iter().all(|x| x.abs() < 1e-13));
+    }
+
+    /// Of more points than a panel, a band or a task has.
+    #[test]
+    fn no_bit_depends_on_threads() {
+        let order = 270;
+        let (kernels, affine) = splines(order);
+        let rows = noise(order * 300, 5);
+        let found = [1, 2, 5].map(|threads| {
+            let pool = pool(threads);
+            let Cardinal { weights, bending } = cardinal(&kernels, &affine, order, &pool).unwrap();
+            let leading = leading(&kernels, &affine, order, &pool).unwrap();
+            [weights, bending, leading, reduced(&rows, &affine, order, &pool).unwrap()].map(|x| bits(&x))
+        });
+        assert!(found.iter().all(|same| *same == found[0]));
     }
 }

@@ -8,6 +8,7 @@ use crate::error::Error;
 use crate::fit::factor::Problem;
 use crate::fit::linalg::{self, QrScratch};
 use crate::fit::rank::Spectrum;
+use crate::fit::turn::Turn;
 use crate::pool::Pool;
 
 /// An orthonormal basis of the columns, row-major and `rank` wide, and what their triangle tells.
@@ -145,15 +146,14 @@ struct Top {
 impl Top {
     fn new(leaves: &Leaves, pool: &Pool<'_>) -> Result<Self, Error> {
         let columns = leaves.columns;
-        let (mut stack, height) = leaves.stack();
+        let (stack, height) = leaves.stack();
         let size = height.min(columns);
-        let many = leaves.count() > 1;
-        let mut reflectors = vec![0.0; linalg::reflector_size(height, columns)];
-        let mut scratch = QrScratch::new(height, columns);
-        if many {
-            linalg::qr_in_place(&mut stack, height, columns, &mut reflectors, &mut scratch, pool)?;
-        }
-        let spectrum = Spectrum::new(&stack, height, columns, leaves.rows, pool)?;
+        let (stack, turn) = match leaves.count() {
+            0 | 1 => (stack, None),
+            _ => (Vec::new(), Some(Turn::new(stack, height, columns, pool)?)),
+        };
+        let reflected = turn.as_ref().map_or(&stack, |turn| &turn.reflected);
+        let spectrum = Spectrum::new(reflected, height, columns, leaves.rows, pool)?;
         let mut basis = vec![0.0; height * spectrum.rank];
         for (j, column) in basis.chunks_exact_mut(height).enumerate() {
             match &spectrum.turn {
@@ -161,8 +161,8 @@ impl Top {
                 Some(u) => column[..size].copy_from_slice(&u[j * size..(j + 1) * size]),
             }
         }
-        if many {
-            linalg::apply_q(&stack, (height, columns), &reflectors, &mut basis, &mut scratch, pool)?;
+        if let Some(turn) = turn {
+            turn.apply(&mut basis, pool)?;
         }
         Ok(Self { basis, height, spectrum })
     }

@@ -171,20 +171,48 @@ fn reflect_column(a: MatMut<'_, f64>) -> f64 {
 /// `c <- Q c` for the Q of [`qr_in_place`], `c` of `rows` x `width`.
 pub fn apply_q(
     a: &[f64],
-    (rows, columns): (usize, usize),
+    shape: (usize, usize),
     reflectors: &[f64],
     c: &mut [f64],
     scratch: &mut QrScratch,
     pool: &Pool<'_>,
+) -> Result<(), Error> {
+    let stack = MemStack::new(&mut scratch.memory);
+    reflect_parts(a, shape, reflectors, c, pool, |basis, h, c| {
+        apply_reflectors(basis, h, Conj::No, c, Par::Seq, stack);
+    })
+}
+
+/// `c <- Q^T c` for the Q of [`qr_in_place`], `c` of `rows` x `width`.
+pub fn apply_q_transposed(
+    a: &[f64],
+    shape: (usize, usize),
+    reflectors: &[f64],
+    c: &mut [f64],
+    scratch: &mut QrScratch,
+    pool: &Pool<'_>,
+) -> Result<(), Error> {
+    let stack = MemStack::new(&mut scratch.memory);
+    reflect_parts(a, shape, reflectors, c, pool, |basis, h, c| {
+        apply_transposed(basis, h, Conj::No, c, Par::Seq, stack);
+    })
+}
+
+/// Applies reflections, given with their blocks, to some columns after others.
+fn reflect_parts(
+    a: &[f64],
+    (rows, columns): (usize, usize),
+    reflectors: &[f64],
+    c: &mut [f64],
+    pool: &Pool<'_>,
+    mut apply: impl FnMut(MatRef<'_, f64>, MatRef<'_, f64>, MatMut<'_, f64>),
 ) -> Result<(), Error> {
     let (block, size) = (block_size(rows, columns), rows.min(columns));
     let basis = MatRef::from_column_major_slice(a, rows, columns).subcols(0, size);
     let h = MatRef::from_column_major_slice(reflectors, block, size);
     for part in c.chunks_mut(rows * short_run(2 * rows * size)) {
         pool.proceed()?;
-        let width = part.len() / rows;
-        let c = MatMut::from_column_major_slice_mut(part, rows, width);
-        apply_reflectors(basis, h, Conj::No, c, Par::Seq, MemStack::new(&mut scratch.memory));
+        apply(basis, h, MatMut::from_column_major_slice_mut(part, rows, part.len() / rows));
     }
     Ok(())
 }
@@ -283,26 +311,59 @@ pub fn upper_triangle(a: &[f64], height: usize, columns: usize) -> Vec<f64> {
     upper
 }
 
+/// Rows and columns of a tile: while what it holds goes to other places, both stay in the cache.
+const TILE: usize = 32;
+
 /// A matrix of columns (rows) of some length with its rows (columns) for them.
 pub fn transposed(a: &[f64], length: usize) -> Vec<f64> {
     let count = a.len() / length.max(1);
-    let mut rows = Vec::with_capacity(a.len());
-    (0..length).for_each(|i| rows.extend((0..count).map(|j| a[j * length + i])));
-    rows
+    let mut out = vec![0.0; a.len()];
+    for top in (0..length).step_by(TILE) {
+        for left in (0..count).step_by(TILE) {
+            for i in top..length.min(top + TILE) {
+                for j in left..count.min(left + TILE) {
+                    out[i * count + j] = a[j * length + i];
+                }
+            }
+        }
+    }
+    out
 }
 
 /// `a b` for a (rows x inner) and b (inner x columns).
 pub fn product(a: &[f64], b: &[f64], rows: usize, inner: usize, columns: usize) -> Vec<f64> {
     let mut c = vec![0.0; rows * columns];
+    multiply(a, b, inner, (rows, columns), &mut c);
+    c
+}
+
+/// Columns of a product that are one task, and the multiply-adds that they take at most, unless its columns are long.
+const PRODUCT_COLUMNS: usize = 256;
+const PRODUCT_COST: usize = 1 << 25;
+
+/// [`product`] in blocks of columns, which threads share.
+pub fn product_in_blocks(
+    a: &[f64],
+    b: &[f64],
+    (rows, inner, columns): (usize, usize, usize),
+    pool: &Pool<'_>,
+) -> Result<Vec<f64>, Error> {
+    let mut c = vec![0.0; rows * columns];
+    let block = (PRODUCT_COST / (rows * inner).max(1)).clamp(16, PRODUCT_COLUMNS);
+    let blocks = c.chunks_mut((block * rows).max(1)).zip(b.chunks((block * inner).max(1)));
+    pool.run(blocks, || (), |(), (c, b)| multiply(a, b, inner, (rows, c.len() / rows), c))?;
+    Ok(c)
+}
+
+fn multiply(a: &[f64], b: &[f64], inner: usize, (rows, columns): (usize, usize), c: &mut [f64]) {
     matmul(
-        MatMut::from_column_major_slice_mut(&mut c, rows, columns),
+        MatMut::from_column_major_slice_mut(c, rows, columns),
         Accum::Replace,
         MatRef::from_column_major_slice(a, rows, inner),
         MatRef::from_column_major_slice(b, inner, columns),
         1.0,
         Par::Seq,
     );
-    c
 }
 
 /// `out <- a^T b`, with a (rows x columns) and b (rows x width) row-major, out (columns x width) column-major.
@@ -354,8 +415,6 @@ pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], rows:
 
 /// Copies the lower triangle of a square matrix to the upper one.
 pub fn mirror(a: &mut [f64], order: usize) {
-    // Tiles: a column of them stays in the cache while the rows that it mirrors are written.
-    const TILE: usize = 32;
     for top in (0..order).step_by(TILE) {
         for left in (0..=top).step_by(TILE) {
             for i in top..order.min(top + TILE) {
@@ -395,8 +454,11 @@ mod tests {
                     r[j * rows + i] = f[j * rows + i];
                 }
             }
+            let triangle = r.clone();
             apply_q(&f, (rows, columns), &h, &mut r, &mut scratch, &pool).unwrap();
             assert!(close(&r, &a), "{rows} x {columns}");
+            apply_q_transposed(&f, (rows, columns), &h, &mut r, &mut scratch, &pool).unwrap();
+            assert!(close(&r, &triangle), "{rows} x {columns}");
         }
     }
 
@@ -413,6 +475,22 @@ mod tests {
                 }
             }
             assert!(close(&product(&u, &scaled, rows, k, columns), &a));
+        }
+    }
+
+    /// Of one block, and of several.
+    #[test]
+    fn blocks_of_a_product_are_the_product() {
+        let never = std::sync::atomic::AtomicBool::new(false);
+        for (rows, inner, columns) in [(2, 3, 5), (1, 2, 700), (200, 900, 230), (3, 0, 2), (0, 2, 3)] {
+            let (a, b) = (matrix(rows, inner), matrix(inner, columns));
+            let exact = product(&a, &b, rows, inner, columns);
+            let found = [1, 3].map(|threads| {
+                product_in_blocks(&a, &b, (rows, inner, columns), &Pool::new(threads, &never)).unwrap()
+            });
+            let near = |(x, y): (&f64, &f64)| (x - y).abs() < 1e-11;
+            assert!(found[0].len() == exact.len() && found[0].iter().zip(&exact).all(near));
+            assert_eq!(found[0], found[1]);
         }
     }
 

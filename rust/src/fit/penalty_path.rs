@@ -268,14 +268,13 @@ fn scaled_rows(problem: &Problem<'_>, scales: &[f64], rows: Range<usize>) -> Vec
     rows.flat_map(scaled).collect()
 }
 
-/// Rows of a block of the basis, and the multiply-adds that it takes at most, unless its rows are few.
+/// Rows of a block of the basis.
 const BLOCK_ROWS: usize = 256;
-const BLOCK_COST: usize = 1 << 25;
 
 /// Columns of a block of solutions.
 const BLOCK_COLUMNS: usize = 64;
 
-/// A row-major matrix times a column-major one (inner x width).
+/// A row-major matrix times a column-major one (inner x width), row-major.
 fn turned(
     matrix: &[f64],
     turn: &[f64],
@@ -283,12 +282,8 @@ fn turned(
     width: usize,
     pool: &Pool<'_>,
 ) -> Result<Vec<f64>, Error> {
-    let mut out = vec![0.0; matrix.len().checked_div(inner).unwrap_or(0) * width];
-    let rows = (BLOCK_COST / (inner * width).max(1)).clamp(16, BLOCK_ROWS);
-    let block = |width: usize| (rows * width).max(1);
-    let blocks = out.chunks_mut(block(width)).zip(matrix.chunks(block(inner)));
-    pool.run(blocks, || (), |(), (out, rows)| linalg::rows_product(rows, turn, inner, width, out))?;
-    Ok(out)
+    let rows = matrix.len().checked_div(inner).unwrap_or(0);
+    linalg::product_in_blocks(&linalg::transposed(turn, inner), matrix, (width, inner, rows), pool)
 }
 
 /// Multiplies every row of a column-major matrix by its scale.

@@ -232,27 +232,9 @@ impl Bordered {
 
     /// `L^T x`, to be added to `out`.
     pub fn add_transposed(&self, x: &[f64], out: &mut [f64]) {
-        let Shape { order, terms, .. } = self.shape;
-        let mut sums = vec![[0.0; PANEL]; order];
-        Arch::new().dispatch(|| {
-            for (panel, x) in x.chunks(PANEL).enumerate() {
-                let at = self.skip + panel * self.shape.stride() + terms * PANEL;
-                let columns = self.storage[at..].as_chunks::<PANEL>().0;
-                let (before, own) = sums.split_at_mut(panel * PANEL);
-                let mut lanes = [0.0; PANEL];
-                lanes[..x.len()].copy_from_slice(x);
-                for (sums, column) in before.iter_mut().zip(columns) {
-                    sums.iter_mut().zip(column).zip(lanes).for_each(|((sum, l), x)| *sum += l * x);
-                }
-                // What stands above the diagonal of its own panel is not L's.
-                for (j, sums) in own.iter_mut().take(x.len()).enumerate() {
-                    let column = &columns[panel * PANEL + j];
-                    sums[j] += x[j] / self.inverse_pivots[panel * PANEL + j];
-                    (j + 1..x.len()).for_each(|i| sums[i] += column[i] * x[i]);
-                }
-            }
-        });
-        out.iter_mut().zip(&sums).for_each(|(out, sums)| *out += sums.iter().sum::<f64>());
+        let factor = &self.storage[self.skip..];
+        let Self { shape, inverse_pivots, .. } = self;
+        Arch::new().dispatch(AddTransposed { factor, shape: *shape, inverse_pivots, x, out });
     }
 
     /// `L^T`, column-major.
@@ -442,6 +424,67 @@ impl Factor<'_> {
     }
 }
 
+/// Products of columns of L, eight at a time.
+struct AddTransposed<'a> {
+    factor: &'a [f64],
+    shape: Shape,
+    inverse_pivots: &'a [f64],
+    x: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl WithSimd for AddTransposed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F64_LANES {
+            8 => self.run::<S, 1>(simd),
+            4 => self.run::<S, 2>(simd),
+            2 => self.run::<S, 4>(simd),
+            _ => self.run::<S, 8>(simd),
+        }
+    }
+}
+
+impl AddTransposed<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const V: usize>(self, simd: S) {
+        let Self { factor, shape, inverse_pivots, x, out } = self;
+        let x = &x[..shape.order];
+        for (own, out) in out[..shape.order].chunks_mut(PANEL).enumerate() {
+            let first = (shape.terms + own * PANEL) * PANEL;
+            let mut sums = [[simd.splat_f64s(0.0); V]; PANEL];
+            // The columns of which there are fewer are the last: no panel follows.
+            for (panel, x) in x.chunks(PANEL).enumerate().skip(own + 1) {
+                // Rows below those of L are not its own.
+                let mut lanes = [0.0; PANEL];
+                lanes[..x.len()].copy_from_slice(x);
+                let (x, _) = S::as_simd_f64s(&lanes);
+                let at = panel * shape.stride() + first;
+                let (columns, _) = S::as_simd_f64s(&factor[at..at + PANEL * PANEL]);
+                for k in 0..PANEL {
+                    for v in 0..V {
+                        sums[k][v] = simd.mul_add_f64s(columns[k * V + v], x[v], sums[k][v]);
+                    }
+                }
+            }
+            let at = own * shape.stride() + first;
+            let (diagonal, x) = (factor[at..].as_chunks::<PANEL>().0, &x[own * PANEL..]);
+            for (k, out) in out.iter_mut().enumerate() {
+                let mut sum = x[k] * inverse_pivots[own * PANEL + k].recip();
+                for part in sums[k] {
+                    sum += simd.reduce_sum_f64s(part);
+                }
+                for (l, x) in diagonal[k].iter().zip(x).skip(k + 1) {
+                    sum += l * x;
+                }
+                *out += sum;
+            }
+        }
+    }
+}
+
 /// A diagonal block of L with columns divided by their diagonal entries: column k at k.
 type Unit = [[f64; PANEL]; PANEL];
 
@@ -596,6 +639,33 @@ mod tests {
                     let dot = |t: usize| (0..order).map(|j| x[t * order + j] * z[j]).sum::<f64>();
                     let product = z[i] - (0..terms).map(|t| x[t * order + i] * dot(t)).sum::<f64>();
                     assert!((product - right[i]).abs() < 1e-12, "order {order} terms {terms} row {i}");
+                }
+            }
+        }
+    }
+
+    /// With rows below those of L in its last panel, which are not its own.
+    #[test]
+    fn products_with_the_transposed_factor_are_added() {
+        let mut system = Bordered::default();
+        for order in [1, 2, 7, 8, 9, 16, 31, 65] {
+            for terms in [0, 5] {
+                let size = 0.7 / ((order * terms.max(1)) as f64).sqrt();
+                system.start(order, 2, terms);
+                set_terms(&mut system, &noise(order * terms, order as u64, size), order);
+                for (j, value) in noise(order, 7, 1.0).iter().enumerate() {
+                    *system.entry(order, j) = 1e3 * value;
+                }
+                for j in 0..order {
+                    (0..j).for_each(|i| *system.entry(j, i) = 0.01 * (i as f64 - j as f64).sin());
+                }
+                system.factor();
+                let (x, mut out) = (noise(order, 3, 1.0), vec![1.0; order]);
+                system.add_transposed(&x, &mut out);
+                let upper = system.upper();
+                for (j, out) in out.iter().enumerate() {
+                    let product: f64 = (j..order).map(|i| upper[i * order + j] * x[i]).sum();
+                    assert!((out - 1.0 - product).abs() < 1e-13, "{order} {terms} {j}");
                 }
             }
         }

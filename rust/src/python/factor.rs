@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Array2, ReadSets, indices, table};
+use super::arrays::{Array1, Array2, ReadSets, indices, matrix, table};
 use super::interrupt::interruptible;
 use super::problem::KeptArrays;
 use super::scheme::{Listing, ReadScheme};
+use crate::error::Error;
 use crate::fit::factor;
 use crate::holdout::residuals::{Predictions, Status};
 use crate::holdout::scheme::Scheme;
@@ -104,6 +105,29 @@ impl Factor {
             self.fit.spread(&problem, &listing.scheme(), &rows, pool)
         })?;
         Ok(PyArray1::from_vec(py, blocks))
+    }
+
+    /// Rows (k, p) of the design's columns over its basis: `a R^-1`.
+    fn over_basis<'py>(
+        &self,
+        py: Python<'py>,
+        rows: PyReadonlyArray2<'py, f64>,
+        threads: usize,
+    ) -> PyResult<Array2<'py, f64>> {
+        let [count, columns] = [rows.shape()[0], rows.shape()[1]];
+        if columns != self.fit.columns {
+            return Err(Error::Length { expected: self.fit.columns, given: columns }.into());
+        }
+        let rows = matrix(&rows)?;
+        let cost = (rows.len() * columns) as f64;
+        let over = interruptible(py, cost, threads, |pool| self.fit.over_basis(rows, pool))?;
+        table(py, over, count, columns)
+    }
+
+    /// Rows of the basis times the roots of their weights, (m, rank).
+    #[getter]
+    fn weighted_basis<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
+        table(py, self.fit.weighted_basis(), self.fit.rows, self.fit.rank)
     }
 
     /// The blocks of the hat matrix for sets of rows, flattened one after another.
