@@ -4,8 +4,8 @@ Usage: ``python benches/calls.py [NAME ...] [--rounds 3] [--against FOLDER ...]`
 to compare with holds another build of the package ``mexpress``.
 
 Every call runs in a process of its own for each version and number of threads (its own and its BLAS's), in turns. The
-table shows the least time of the rounds, and the largest memory of a process beyond that before the call. "Products"
-are those of two 1500 x 1500 matrices by numpy on as many threads, timed in the same processes: each takes 6.75 Gflop.
+table shows the least time, and the largest memory of a process beyond that before the call. "Products" are those of two
+1500 x 1500 matrices by numpy on as many threads, timed in the same processes: each takes 6.75 Gflop.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from versus import THREADS, MatrixProduct, describe_machine, show, waves
+from versus import REST, THREADS, MatrixProduct, describe_machine, show, waves
 
 import mexpress as mx
 
@@ -153,18 +153,22 @@ def neighbours(scheme: str, size: float) -> Call:
 
 
 def time_here(name: str) -> None:
-    """Times one call, and prints what it took."""
+    """Times one call, again and again for a second, and prints what it took at best."""
     call = CALLS[name][1]()
-    product = MatrixProduct().a
-    start = time.perf_counter()
-    product @ product
-    middle = time.perf_counter()
+    matrix = MatrixProduct().a
+    products, calls = [], []
+    for _ in range(3):
+        start = time.perf_counter()
+        matrix @ matrix
+        products.append(time.perf_counter() - start)
+    time.sleep(REST)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    begun = time.perf_counter()
-    call()
-    end = time.perf_counter()
+    while sum(calls) < 1:
+        start = time.perf_counter()
+        call()
+        calls.append(time.perf_counter() - start)
     beyond = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    print(json.dumps({"product": middle - start, "seconds": end - begun, "MiB": beyond / 1024}))
+    print(json.dumps({"product": min(products), "seconds": min(calls), "MiB": beyond / 1024}))
 
 
 def timed(name: str, folder: Path | None, threads: int) -> dict[str, float]:
