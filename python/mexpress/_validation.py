@@ -31,7 +31,7 @@ LARGEST_PARAMETER = 1e306
 
 LARGEST_INDEX = 2**63 - 1
 
-# What Python counts with, but no number.
+# To Python and NumPy, these are numbers.
 _TRUTH = (bool, np.bool_)
 
 

@@ -204,16 +204,16 @@ class LeastSquares:
         """One column for each response, or the only one, read-only."""
         return _read_only(columns[:, 0] if self._flat else columns)
 
-    def over_basis(self, rows: Floats, threads: int | None = None) -> Floats:
+    def _over_basis(self, rows: Floats, threads: int | None = None) -> Floats:
         """Return rows (k, p) of numbers a . x over an orthonormal basis, (k, p): ``a R^-1``.
 
-        A number grows with the response of a row of A by its product with that row of `weighted_basis`. NaN if the
+        A number grows with the response of a row of A by its product with that row of `_weighted_basis`. NaN if the
         rank of A and its penalty is lost.
         """
         return self._factor.over_basis(rows, check.threads(threads))
 
     @property
-    def weighted_basis(self) -> Floats:
+    def _weighted_basis(self) -> Floats:
         """The rows of the orthonormal basis times the roots of their weights, (m, rank)."""
         return self._factor.weighted_basis
 

@@ -75,7 +75,8 @@ class Jackknife(Generic[ModelT]):
         self._fit = fit = design.fit(smoothing)
         n, g = fit.n_data, design.coupling
         left_out = cross_validate_all(fit, {"": leave_one_out(n)}, None)[""].residuals
-        self._basis = fit.weighted_basis
+        self._basis = fit._weighted_basis
+        self._across = np.ascontiguousarray(self._basis.T)
         self._coefficients = fit.coefficients.reshape(len(fit.coefficients), -1)
         self._changes = left_out.reshape(n, g, -1)
 
@@ -99,7 +100,7 @@ class Jackknife(Generic[ModelT]):
         step = max(1, _ENTRIES // (3 * n * max(g, r)))
         for first in range(0, len(points), step):
             rows, numbers = self._whole(points[first : first + step])
-            together = _product(rows, self._basis.T).reshape(*rows.shape[:2], n, g)
+            together = _product(rows, self._across).reshape(*rows.shape[:2], n, g)
             changes = np.einsum("fkng,ngr->fknr", together, self._changes, optimize=True)
             yield self._design.values_of(numbers[:, :, None] - changes)
 
@@ -107,7 +108,7 @@ class Jackknife(Generic[ModelT]):
         """Return rows at points over the orthonormal basis, (f, k, p), and numbers of the whole model, (f, k, r)."""
         rows, constants = self._design.rows_at(points)
         numbers = _product(rows, self._coefficients) + constants[:, :, None]
-        return self._fit.over_basis(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape), numbers
+        return self._fit._over_basis(rows.reshape(-1, rows.shape[-1])).reshape(rows.shape), numbers
 
 
 def jackknife_plus(design: Design[ModelT], smoothing: float, points: Floats, level: float) -> Interval:

@@ -55,7 +55,10 @@ def nested_errors(
     functions = nested_basis(points, control_points)
     measured = check.columns(values, "values", len(functions)).reshape(len(functions), -1)
     fit = LeastSquares(functions, measured)
-    basis = np.ascontiguousarray(fit.weighted_basis.T)
+    if fit.rank < functions.shape[1]:
+        rule = "The points must determine a model with all of them."
+        check.refuse("control_points", rule, f"{functions.shape[1]}, of which {fit.rank} are determined")
+    basis = np.ascontiguousarray(fit._weighted_basis.T)
     coefficients = _core.product(basis, np.ascontiguousarray(measured), check.threads(None))
     expected = check.columns(truth, "truth", len(unseen)).reshape(len(unseen), -1)
     if expected.shape[1] != measured.shape[1]:
@@ -65,7 +68,7 @@ def nested_errors(
     for start in range(0, len(unseen), _BLOCK):
         some = slice(start, start + _BLOCK)
         # Columns orthonormal over the data: a model of l control points has the first l columns.
-        columns = fit.over_basis(nested_basis(unseen[some], control_points)).T
+        columns = fit._over_basis(nested_basis(unseen[some], control_points)).T
         for along, wanted in zip(coefficients.T, expected[some].T, strict=True):
             predicted = np.cumsum(columns * along[:, None], axis=0)
             total += ((predicted - wanted) ** 2).sum(axis=1)

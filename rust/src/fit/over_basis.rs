@@ -43,8 +43,13 @@ impl Factor {
 
     /// Rows of the basis times the roots of their weights, those of the penalty left out.
     pub fn weighted_basis(&self) -> Vec<f64> {
-        let row = |i| self.basis_row(i).iter().map(move |q| q / self.unweight(i));
-        (0..self.rows).flat_map(row).collect()
+        let mut weighted = self.basis[..self.rows * self.rank].to_vec();
+        if let (Some(roots), true) = (&self.root_weights, self.rank > 0) {
+            for (row, root) in weighted.chunks_exact_mut(self.rank).zip(roots) {
+                row.iter_mut().for_each(|q| *q *= root);
+            }
+        }
+        weighted
     }
 }
 

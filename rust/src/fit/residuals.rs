@@ -99,7 +99,7 @@ impl Remainder {
 const CACHED: usize = 1 << 15;
 
 /// What is done with every row: what its responses have along the basis, given their projection, is taken; what is left
-/// is projected, and the row's length measured.
+/// is projected, and then the row's length measured.
 #[derive(Clone, Copy)]
 pub(super) struct Step<'a> {
     pub taken: Option<&'a [f64]>,
@@ -151,7 +151,7 @@ impl WithSimd for Take<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self { step, shape: (rank, width), basis, left, leverage, sum } = self;
         for (i, (row, leverage)) in basis.chunks_exact(rank).zip(leverage).enumerate() {
-            if step.project {
+            if step.project && step.taken.is_some() {
                 *leverage = dot(row, row);
             }
             for (c, left) in left[i * width..(i + 1) * width].iter_mut().enumerate() {

@@ -194,11 +194,11 @@ impl Question for LastModel<'_> {
     fn at_once(&self, portion: &Portion<'_>, answer: &mut Residuals) -> bool {
         let Ground { factor, schemes, .. } = *self.0;
         let [s] = portion.chain.schemes[..] else { return false };
-        let row_at = |step| self.lone_row(&schemes[s], portion.chain.pair(step));
-        let Some(lone) = portion.steps.clone().map(row_at).collect::<Option<Vec<_>>>() else { return false };
         if factor.rank == factor.total_rows {
             return false;
         }
+        let row_at = |step| self.lone_row(&schemes[s], portion.chain.pair(step));
+        let Some(lone) = portion.steps.clone().map(row_at).collect::<Option<Vec<_>>>() else { return false };
         let (count, responses, required) = (lone.len(), factor.responses, factor.closed_form_least());
         answer.values = vec![f64::NAN; count * responses];
         answer.status = vec![None; count];

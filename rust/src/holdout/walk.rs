@@ -30,6 +30,13 @@ impl Ground<'_> {
         data.iter().flat_map(|&datum| self.rows.get(datum)).copied().collect()
     }
 
+    /// The data that a pair holds out.
+    pub(super) fn members(&self, scheme: usize, pair: usize) -> Vec<usize> {
+        let mut members = Vec::new();
+        self.schemes[scheme].held.members(pair, &mut members);
+        members
+    }
+
     /// What the pairs of a chain validate at a step.
     pub(super) fn validated(&self, at: Visit<'_>) -> &[usize] {
         self.schemes[at.chain.schemes[at.k]].validated.get(at.chain.pair(at.step))

@@ -2,7 +2,6 @@
 
 use super::dual::Dual;
 use super::{Nested, add_squares};
-use crate::fit::factor::Factor;
 use crate::fit::linalg::{self, dot};
 use crate::fit::panels::PANEL;
 use crate::fit::rank::leading_rank;
@@ -14,14 +13,6 @@ use crate::pool::Pool;
 
 /// Below this lambda_min(M) a pair needs twice the digits.
 const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
-
-/// Above this lambda_min(M) the training rows have the rank of the design; below, those of an ill-conditioned one may not.
-pub(super) const CERTAIN_MIN_EIGENVALUE: f64 = 1e-5;
-
-/// Above this lambda_min(M) no model of this design loses rank.
-pub(super) fn certain_least(factor: &Factor) -> f64 {
-    CERTAIN_MIN_EIGENVALUE.min(factor.certain_least())
-}
 
 /// Validated rows solved for together.
 const CARRIED_ROWS: usize = 64;
@@ -39,13 +30,6 @@ pub(super) struct Visited {
 }
 
 impl Visited {
-    /// The data that it holds out.
-    pub(super) fn members(self, ground: &Ground<'_>) -> Vec<usize> {
-        let mut members = Vec::new();
-        ground.schemes[self.scheme].held.members(self.pair, &mut members);
-        members
-    }
-
     fn new(at: Visit<'_>, least: f64) -> Self {
         Self {
             scheme: at.chain.schemes[at.k],
@@ -191,7 +175,7 @@ impl PairCurve {
                 }
             }
         }
-        if least > certain_least(factor) { Outcome::All } else { self.cut(models, &system.upper(), pool) }
+        if least > factor.certain_least() { Outcome::All } else { self.cut(models, &system.upper(), pool) }
     }
 
     /// Which models the training rows determine, by their triangle `L^T R`, given L^T.
@@ -258,6 +242,24 @@ pub(super) mod tests {
             sums.iter_mut().zip(curve).for_each(|(sum, x)| *sum += x);
         }
         sums
+    }
+
+    /// Two rows tell the last column from the one before; the others see a hundredth of that, which is rounding.
+    #[test]
+    fn what_is_certain_depends_on_how_near_rank_loss_the_design_is() {
+        let mut example = Example::new(40, 3, 1);
+        for (i, row) in example.design.chunks_exact_mut(3).enumerate() {
+            let size = if i < 2 { 4e-12 } else { 4e-15 };
+            row[2] = row[1] + if i % 2 == 0 { size } else { -size };
+        }
+        example.penalty.clear();
+        example.root_weights.fill(1.0);
+        let (held, validated) = (sets([&[0, 1], &[0, 1, 2, 3]]), sets([&[0], &[3]]));
+        let squares = &curves(&example, &[(&held, &validated, None)], 1)[0].squares;
+        assert!(squares[..2].iter().all(|square| square.is_finite()));
+        assert!(squares[2].is_nan());
+        let last = example.factor().closed_form_least();
+        assert!(last > 1e-4, "{last}");
     }
 
     /// Few rows and many, alone and in chains, more validated than are solved for together.

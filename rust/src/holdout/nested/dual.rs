@@ -1,8 +1,17 @@
 //! Small sets: the inverse of `S_l = I - Q_K,l Q_K,l^T` column by column, and with it the residuals of every leading model.
 
 use super::Nested;
-use super::curves::CERTAIN_MIN_EIGENVALUE;
+use crate::fit::factor::Factor;
 use crate::fit::linalg::dot;
+
+/// Above this lambda_min(M) the inverse, which is updated column by column, keeps its digits.
+const LEAST: f64 = 1e-5;
+
+/// The least lambda_min(M) of a pair that the dual may solve: of ill-conditioned designs, training rows may lack rank above
+/// that, too.
+fn least(factor: &Factor) -> f64 {
+    LEAST.max(factor.certain_least())
+}
 
 /// Workspace of the dual.
 #[derive(Default)]
@@ -34,8 +43,10 @@ impl Dual {
         let (q, rank) = (rows.len(), nested.factor.rank);
         self.load(nested, rows);
         let mut done = 0;
+        let required = least(&nested.factor);
         for (square, &cut) in squares.iter_mut().zip(cuts) {
-            if !(done..cut).all(|j| self.column(j, q, nested.factor.projection.chunks_exact(rank.max(1)))) {
+            let projections = || nested.factor.projection.chunks_exact(rank.max(1));
+            if !(done..cut).all(|j| self.column(j, q, required, projections())) {
                 return false;
             }
             done = cut;
@@ -43,7 +54,7 @@ impl Dual {
                 self.residuals.chunks_exact(q).map(|e| dot(&e[..validated], &e[..validated])).sum::<f64>();
         }
         let trace: f64 = self.inverse.iter().step_by(q + 1).sum();
-        trace < q as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE
+        trace < q as f64 + 1.0 / required
     }
 
     fn load(&mut self, nested: &Nested, rows: &[usize]) {
@@ -63,14 +74,20 @@ impl Dual {
     }
 
     /// Adds column j to the model; false if its pivot vanishes.
-    fn column<'a>(&mut self, j: usize, q: usize, projection: impl Iterator<Item = &'a [f64]>) -> bool {
+    fn column<'a>(
+        &mut self,
+        j: usize,
+        q: usize,
+        required: f64,
+        projection: impl Iterator<Item = &'a [f64]>,
+    ) -> bool {
         let Self { columns, inverse, residuals, w } = self;
         let column = &columns[j * q..(j + 1) * q];
         for (w, row) in w.iter_mut().zip(inverse.chunks_exact(q)) {
             *w = dot(row, column);
         }
         let pivot = 1.0 - dot(w, column);
-        if pivot.is_nan() || pivot <= CERTAIN_MIN_EIGENVALUE {
+        if pivot.is_nan() || pivot <= required {
             return false;
         }
         for (e, c) in residuals.chunks_exact_mut(q).zip(projection) {
@@ -93,6 +110,7 @@ fn unrolled<const N: usize>(
     squares: &mut [f64],
 ) -> bool {
     let Nested { factor, .. } = nested;
+    let required = least(factor);
     let q: [&[f64]; N] = std::array::from_fn(|k| factor.basis_row(rows[k]));
     for c in 0..factor.responses {
         let projection = &factor.projection[c * factor.rank..(c + 1) * factor.rank];
@@ -104,7 +122,7 @@ fn unrolled<const N: usize>(
                 let x: [f64; N] = std::array::from_fn(|k| q[k][j]);
                 let w = inverse.map(|row| inner(&row, &x));
                 let pivot = 1.0 - inner(&w, &x);
-                if pivot.is_nan() || pivot <= CERTAIN_MIN_EIGENVALUE {
+                if pivot.is_nan() || pivot <= required {
                     return false;
                 }
                 let factor = pivot.recip();
@@ -118,7 +136,7 @@ fn unrolled<const N: usize>(
             *square += dot(&e[..validated], &e[..validated]);
         }
         let trace: f64 = (0..N).map(|i| inverse[i][i]).sum();
-        if trace >= N as f64 + 1.0 / CERTAIN_MIN_EIGENVALUE {
+        if trace >= N as f64 + 1.0 / required {
             return false;
         }
     }
@@ -165,7 +183,7 @@ mod tests {
             let (mut dual, mut general) = (Dual::default(), Vec::new());
             dual.load(nested, &rows);
             for j in 0..5 {
-                assert!(dual.column(j, N, nested.factor.projection.chunks_exact(5)));
+                assert!(dual.column(j, N, LEAST, nested.factor.projection.chunks_exact(5)));
                 general.push(dot(&dual.residuals, &dual.residuals));
             }
             let mut squares = vec![0.0; 5];
@@ -176,6 +194,18 @@ mod tests {
         check(&nested, [3]);
         check(&nested, [18, 2]);
         check(&nested, [0, 9, 4]);
+    }
+
+    #[test]
+    fn pairs_of_a_design_near_rank_loss_are_left_to_others() {
+        let mut nested = nested(&Example::new(20, 5, 1));
+        for rows in [&[3][..], &[3, 4], &[3, 4, 5], &[3, 4, 5, 6]] {
+            let mut solve = |least: f64| {
+                nested.factor.least = least;
+                Dual::default().solve(&nested, &[5], (rows, 1), &mut [0.0])
+            };
+            assert!(solve(0.1) && !solve(1e-15));
+        }
     }
 
     /// Where the last rows see nearly all of a column, whether a pivot tells or the trace does.

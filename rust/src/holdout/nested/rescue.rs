@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::curves::{AllModels, Outcome, PairCurve, Visited, certain_least};
+use super::curves::{AllModels, Outcome, PairCurve, Visited};
 use super::{Curve, Nested, add_squares};
 use crate::error::Error;
 use crate::fit::factor::Problem;
@@ -38,9 +38,9 @@ impl AllModels<'_> {
         if steps.is_empty() {
             return Ok(());
         }
-        self.plan(steps);
+        self.plan(steps, pool)?;
         let (close, refitted) = steps.split_at(steps.partition_point(|visited| !visited.refit));
-        let groups = self.groups(refitted).0;
+        let groups = self.groups(refitted, pool)?.0;
         let run = (close.len() / 16).clamp(1, LONGEST_RUN);
         let runs = close.chunks(run).map(|run| (run, &[][..]));
         let tasks = runs.chain(groups.iter().map(|group| (&refitted[group.sets.clone()], &group.union[..])));
@@ -85,13 +85,11 @@ impl AllModels<'_> {
         }
         failure.into_inner().map_or(Ok(()), Err)
     }
-}
 
-impl AllModels<'_> {
     /// Puts pairs in order, and those last that are to be refitted: twice the digits are too few, or cost more.
-    fn plan(&self, steps: &mut [Visited]) {
+    fn plan(&self, steps: &mut [Visited], pool: &Pool<'_>) -> Result<(), Error> {
         steps.sort_unstable_by_key(|visited| (visited.scheme, visited.step));
-        let (groups, others) = self.groups(steps);
+        let (groups, others) = self.groups(steps, pool)?;
         let columns = self.nested.factor.rank as f64;
         for group in &groups {
             let sets = group.sets.clone().filter(|&k| others[k]).count();
@@ -99,16 +97,22 @@ impl AllModels<'_> {
             steps[group.sets.clone()].iter_mut().for_each(|v| v.refit = cheap || v.least < CERTAIN_LOSS);
         }
         steps.sort_unstable_by_key(|visited| (visited.refit, visited.scheme, visited.step));
+        Ok(())
     }
 
     /// Neighbours that are best refitted together; and by pair, whether it holds out others than the one before.
-    fn groups(&self, steps: &[Visited]) -> (Vec<Group>, Vec<bool>) {
+    fn groups(&self, steps: &[Visited], pool: &Pool<'_>) -> Result<(Vec<Group>, Vec<bool>), Error> {
         let factor = &self.nested.factor;
-        let mut members: Vec<Vec<usize>> = steps.iter().map(|visited| visited.members(self.ground)).collect();
-        members.iter_mut().for_each(|members| members.sort_unstable());
+        let members = |visited: &Visited| {
+            pool.proceed()?;
+            let mut members = self.ground.members(visited.scheme, visited.pair);
+            members.sort_unstable();
+            Ok(members)
+        };
+        let members = steps.iter().map(members).collect::<Result<Vec<_>, Error>>()?;
         let others = (0..steps.len()).map(|k| k == 0 || members[k] != members[k - 1]).collect();
         let shape = (factor.problem_rows(), factor.coordinates() + factor.responses);
-        (groups(&members, self.ground.rows.len(), shape), others)
+        Ok((groups(&members, self.ground.rows.len(), shape), others))
     }
 }
 
@@ -175,7 +179,7 @@ impl Rescue<'_> {
         let models = self.models;
         let least = if visited.refit { 0.0 } else { self.double_double() };
         if least >= DOUBLE_DOUBLE_MIN_EIGENVALUE {
-            if least > certain_least(models.ground.factor) {
+            if least > models.ground.factor.certain_least() {
                 return Ok(Solved::TwiceTheDigits(models.cuts.len()));
             }
             match self.curve.cut(models, &self.factor.upper(), pool) {
@@ -187,7 +191,7 @@ impl Rescue<'_> {
         let Self { work, refit, problem, .. } = self;
         let factor = models.ground.factor;
         // Plain arithmetic knows lambda_min(M) to about 1e-13.
-        if visited.least > certain_least(factor).max(100.0 * DOUBLE_DOUBLE_MIN_EIGENVALUE) {
+        if visited.least > factor.certain_least().max(100.0 * DOUBLE_DOUBLE_MIN_EIGENVALUE) {
             refit.reduce(factor, problem, pool, &work.rows)?;
             return Ok(Solved::Refitted(factor.rank));
         }
@@ -306,7 +310,7 @@ mod tests {
                 Visited { scheme: 0, step, pair: step, least, refit: false }
             };
             let mut steps: Vec<Visited> = (0..8).rev().map(visited).collect();
-            models.plan(&mut steps);
+            models.plan(&mut steps, &pool(1)).unwrap();
             let found: Vec<(usize, bool)> =
                 steps.iter().map(|visited| (visited.step, visited.refit)).collect();
             let order = if cheap { [0, 1, 2, 3, 4, 5, 6, 7] } else { [0, 1, 3, 4, 5, 6, 7, 2] };

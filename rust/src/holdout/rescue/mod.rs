@@ -33,13 +33,6 @@ pub(super) struct Left<'a> {
 }
 
 impl Left<'_> {
-    /// The data that it holds out.
-    fn members(&self, ground: &Ground<'_>) -> Vec<usize> {
-        let mut held = Vec::new();
-        ground.schemes[self.scheme].held.members(self.pair, &mut held);
-        held
-    }
-
     fn accept(&mut self, factor: &Factor, status: Status) {
         unweight(factor, &self.rows, self.residuals);
         *self.status = Some(status);
@@ -58,7 +51,7 @@ impl Factor {
         status: &mut [Option<Status>],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
-        let mut sets = grouped(ground, places.left(ground, residuals, status));
+        let mut sets = grouped(ground, places.left(ground, residuals, status), pool)?;
         let failure = OnceLock::new();
         let batch = batch(ground);
         let workspace = || Workspace::new(ground.rows.len());
@@ -72,7 +65,11 @@ impl Factor {
         )?;
         sets.retain(|pairs| pairs[0].status.is_none());
         along_the_way(ground, &mut sets);
-        let members: Vec<Vec<usize>> = sets.iter().map(|pairs| pairs[0].members(ground)).collect();
+        let members = |pairs: &Vec<Left<'_>>| {
+            pool.proceed()?;
+            Ok(ground.members(pairs[0].scheme, pairs[0].pair))
+        };
+        let members = sets.iter().map(members).collect::<Result<Vec<_>, Error>>()?;
         let groups =
             groups(&members, ground.rows.len(), (self.problem_rows(), self.coordinates() + self.responses));
         let mut rest = &mut sets[..];
@@ -144,11 +141,16 @@ impl Factor {
 }
 
 /// Those together that hold out the same data.
-fn grouped<'a>(ground: &Ground<'_>, left: Vec<Left<'a>>) -> Vec<Vec<Left<'a>>> {
+fn grouped<'a>(
+    ground: &Ground<'_>,
+    left: Vec<Left<'a>>,
+    pool: &Pool<'_>,
+) -> Result<Vec<Vec<Left<'a>>>, Error> {
     let mut sets: Vec<Vec<Left<'a>>> = Vec::new();
     let mut known: HashMap<Vec<usize>, usize> = HashMap::new();
     for pair in left {
-        let mut held = pair.members(ground);
+        pool.proceed()?;
+        let mut held = ground.members(pair.scheme, pair.pair);
         held.sort_unstable();
         let set = *known.entry(held).or_insert(sets.len());
         match sets.get_mut(set) {
@@ -156,7 +158,7 @@ fn grouped<'a>(ground: &Ground<'_>, left: Vec<Left<'a>>) -> Vec<Vec<Left<'a>>> {
             None => sets.push(vec![pair]),
         }
     }
-    sets
+    Ok(sets)
 }
 
 /// Puts sets in the order in which neighbours come one after another, where their scheme knows one.
@@ -295,7 +297,8 @@ mod tests {
             let places = Places { firsts: vec![0, 60], offsets: (0..=60).collect() };
             let (mut residuals, mut status) = (vec![0.0; 120], vec![None; 60]);
             status[4] = Some(Status::Closed);
-            let grouped = grouped(&ground, places.left(&ground, &mut residuals, &mut status));
+            let left = places.left(&ground, &mut residuals, &mut status);
+            let grouped = grouped(&ground, left, &pool(1)).unwrap();
             let pairs: Vec<Vec<usize>> =
                 grouped.iter().map(|set| set.iter().map(|left| left.pair).collect()).collect();
             let expected = (0..30).map(|i| if i == 2 { vec![5] } else { vec![2 * i, 2 * i + 1] });
