@@ -21,23 +21,15 @@ impl Factor {
         let mut over = vec![0.0; rows.len()];
         let size = PANELS * PANEL * columns;
         let tasks = over.chunks_mut(size).zip(rows.chunks(size));
-        pool.run(
-            tasks,
-            || vec![[0.0; PANEL]; columns],
-            |lanes, (over, rows)| {
-                let panel = PANEL * columns;
-                for (over, rows) in over.chunks_mut(panel).zip(rows.chunks(panel)) {
-                    for (k, row) in rows.chunks_exact(columns).enumerate() {
-                        let entries = row.iter().zip(&self.scales).map(|(a, scale)| a * scale);
-                        lanes.iter_mut().zip(entries).for_each(|(lane, a)| lane[k] = a);
-                    }
-                    panels::solve(&lower, columns, columns, lanes);
-                    for (k, row) in over.chunks_exact_mut(columns).enumerate() {
-                        row.iter_mut().zip(&*lanes).for_each(|(x, lane)| *x = lane[k]);
-                    }
-                }
-            },
-        )?;
+        pool.run(tasks, Vec::new, |lanes, (over, rows)| {
+            let count = rows.len() / columns;
+            lanes.clear();
+            lanes.resize(count.div_ceil(PANEL) * columns, [0.0; PANEL]);
+            let row = |i| (&rows[i * columns..(i + 1) * columns], 1.0);
+            panels::pack(row, count, &self.scales, 0, lanes);
+            panels::solve(&lower, columns, columns, lanes);
+            panels::unpack(lanes, columns, over);
+        })?;
         Ok(over)
     }
 

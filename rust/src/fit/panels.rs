@@ -35,7 +35,7 @@ pub(super) fn pack<'a>(
     }
 }
 
-/// The rows that panels of some columns hold, one after another.
+/// The rows that panels of some columns hold, one after another; the last panel may hold more.
 pub(super) fn unpack(panels: &[Lanes], columns: usize, rows: &mut [f64]) {
     Arch::new().dispatch(Unpack { panels, columns, rows });
 }
@@ -145,7 +145,7 @@ impl WithSimd for Unpack<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { panels, columns, rows } = self;
-        for (panel, rows) in panels.chunks_exact(columns).zip(rows.chunks_exact_mut(PANEL * columns)) {
+        for (panel, rows) in panels.chunks_exact(columns).zip(rows.chunks_mut(PANEL * columns)) {
             let (squares, rest) = panel.as_chunks::<PANEL>();
             let whole = PANEL * squares.len();
             for (j, square) in (0..whole).step_by(PANEL).zip(squares) {
