@@ -42,6 +42,12 @@ def select(points=POINTS, values=TARGET, **options):
     return mx.select_surface(points, values, **(usual | options))
 
 
+def estimated(source, target):
+    """Estimate a warp; a number if the matches do not determine one."""
+    warp = mx.Warp.from_estimate(source, target)
+    return np.array(0.0) if warp is None else warp.parameters
+
+
 FORM = re.compile(r"^Invalid [\w\[\]]+\. .+ Given .*\.$", re.DOTALL)
 
 
@@ -104,6 +110,8 @@ ARRAYS = {
         lambda x: mx.fit_warp(POINTS, TARGET, x).parameters,
     ),
     "Warp": ("points", POINTS, WARP),
+    "from_estimate source": ("source", POINTS, lambda x: estimated(x, TARGET)),
+    "from_estimate target": ("target", TARGET, lambda x: estimated(POINTS, x)),
     "cross_validate_nested A": ("A", A, nested),
     "cross_validate_nested b": ("b", B, lambda x: nested(b=x)),
     "cross_validate_nested weights": ("weights", np.arange(1.0, N + 1), lambda x: nested(weights=x)),
@@ -233,6 +241,8 @@ NUMBERS = {
     "dense_map height": ("height", 3, lambda x: WARP.dense_map(2, x)),
     "inverse_map width": ("width", 2, lambda x: WARP.inverse_map(x, 3)),
     "inverse_map height": ("height", 3, lambda x: WARP.inverse_map(2, x)),
+    "displacement_field width": ("width", 2, lambda x: WARP.displacement_field(x, 3)),
+    "displacement_field height": ("height", 3, lambda x: WARP.displacement_field(2, x)),
     "leave_one_out n": ("n", 5, lambda x: held(s.leave_one_out(x))),
     "k_fold n": ("n", 9, lambda x: held(s.k_fold(x, 3, seed=0))),
     "k_fold k": ("k", 3, lambda x: held(s.k_fold(9, x, seed=0))),

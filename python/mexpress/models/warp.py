@@ -9,12 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
-from mexpress.geometry import Region, diagonal, inside, lattice, nearest
+from mexpress.geometry import Region, check_extent, diagonal, hull, inside, lattice, nearest
+from mexpress.liftings import ThinPlateSpline
 from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.dense import dense
 from mexpress.models.design import CardinalBasis, Design, fractional_design, linear_design
 from mexpress.models.expectation import EXTRAPOLATE, FittedModel, check_outside
+from mexpress.models.itk import check_plane, displacement_transform
 from mexpress.models.observations import Observations
+from mexpress.placement import farthest_order
 from mexpress.resampling import check_fill, check_image, check_size, resampled
 
 _SAMPLES = 1000
@@ -25,6 +28,9 @@ _HORIZON = 1e-3
 
 _TOLERANCE, _ROUNDING = 1e-11, 16
 """What `inverse` accepts: a fraction of the size of the domain's image, but so many units in the last place."""
+
+_FEWEST, _SHARE, _MOST = 3, 4, 100
+"""Control points of an estimate: one for every four matches, from three to a hundred."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +69,8 @@ class Warp(FittedModel):
     `cv2.remap(target_image, *warp.dense_map(width, height), cv2.INTER_LINEAR)` and
     `skimage.transform.warp(target_image, warp, output_shape=(height, width))` all resample the target image in the
     frame of the source image: they read the target image at the image of every source pixel. Beyond the horizon, where
-    positions are NaN, the first two have their fill or border value; skimage has NaN, but 0 with order 0.
+    positions are NaN, the first two have their fill or border value; skimage has NaN, but 0 with order 0. With
+    `warp.inverse` in the place of `warp`, skimage resamples the source image in the frame of the target image.
 
     Examples
     --------
@@ -91,6 +98,99 @@ class Warp(FittedModel):
     def __repr__(self) -> str:
         form = "fractional " if self.fractional else ""
         return f"Warp({form}{self._description()})"
+
+    @classmethod
+    def from_estimate(
+        cls, source: ArrayLike, target: ArrayLike, count: int | None = None, *, fractional: bool = True
+    ) -> Self | None:
+        """Fit a thin-plate warp to matches at once, without selection, as `skimage.measure.ransac` asks for.
+
+        `ransac((source, target), mexpress.Warp, ...)` takes the class as it is (scikit-image 0.26 or later): few
+        matches give a homography, many a warp that bends. `select_warp` chooses the number of control points by
+        cross-validation instead, and with `robust=True` finds wrong matches by itself.
+
+        Parameters
+        ----------
+        source, target : array_like, (n, 2)
+            Matched points in pixels of either image, x then y.
+        count : int, optional
+            Number of control points, at source points that are spread evenly; by default one for every four matches,
+            from 3 to 100.
+        fractional : bool
+            Whether the warp has a denominator.
+
+        Returns
+        -------
+        Warp or None
+            None if the matches do not determine the warp: there are too few of them (four, or three without a
+            denominator), or they are on a line.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the points are not finite, not of shape (n, 2), or not as many in either image.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = np.array([[0, 0], [100, 0], [0, 100], [100, 100]])
+        >>> mx.Warp.from_estimate(square, 2 * square)
+        Warp(fractional tps, 3 control points)
+        >>> mx.Warp.from_estimate(square[:3], 2 * square[:3]) is None
+        True
+        """
+        points, values = check.points(source, "source").copy(), check.points(target, "target").copy()
+        if len(points) != len(values):
+            check.refuse(
+                "target", "It must have one point per source point.", f"{len(values)} for {len(points)}"
+            )
+        check_extent(values, "target")
+        usual = min(max(len(points) // _SHARE, _FEWEST), _MOST)
+        most = usual if count is None else check.count(count, "count", _FEWEST)
+        make = fractional_design if check.flag(fractional, "fractional") else linear_design
+        try:
+            domain = Region(hull(points, "source"))
+        except ValueError:  # fewer than three places, or on a line
+            return None
+        basis = CardinalBasis(ThinPlateSpline(points[farthest_order(points, most)]))
+        design: Design[Self] = make(basis, points, values, domain, cls)
+        fit = design.fit()
+        return design.model(fit.coefficients) if fit.rank == design.A.shape[1] else None
+
+    def residuals(self, source: ArrayLike, target: ArrayLike) -> Floats:
+        """Return how far the images of source points are from target points.
+
+        Parameters
+        ----------
+        source, target : array_like, (k, 2)
+            Matched points in pixels of either image.
+
+        Returns
+        -------
+        ndarray, (k,)
+            Distances in pixels of the target image: infinite where the warp vanishes, NaN where a position is not
+            known.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the points are not as many in either image, or not of shape (k, 2).
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = np.array([[0, 0], [100, 0], [0, 100], [100, 100]])
+        >>> mx.Warp.from_estimate(square, 2 * square).residuals([[10, 10]], [[23, 24]]).round(6)
+        array([5.])
+        """
+        points, values = check.queries(source, "source"), check.queries(target, "target")
+        if len(points) != len(values):
+            check.refuse(
+                "target", "It must have one point per source point.", f"{len(values)} for {len(points)}"
+            )
+        distances = _norm(values - self(points))
+        known = ~np.isnan(points).any(axis=1) & ~np.isnan(values).any(axis=1)
+        return np.where(known & np.isnan(distances), np.inf, distances)
 
     @property
     def fractional(self) -> bool:
@@ -447,6 +547,101 @@ class Warp(FittedModel):
         positions_of = self.dense_map if check.flag(inverse, "inverse") else self.inverse_map
         value = check_fill(fill, pixels)
         return resampled(pixels, positions_of(width, height, tolerance, outside=outside), value)
+
+    def displacement_field(
+        self,
+        width: int,
+        height: int,
+        tolerance: float = 0.05,
+        *,
+        inverse: bool = False,
+        outside: str = EXTRAPOLATE,
+    ) -> Floats:
+        """Return how far every pixel of the source image is moved.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the source image in pixels; of the target image if `inverse`.
+        tolerance, outside
+            As for `dense_map`, or `inverse_map` if `inverse`.
+        inverse : bool
+            Whether pixels of the target image are moved, to the source image, instead.
+
+        Returns
+        -------
+        ndarray, (height, width, 2)
+            Vectors in pixels, x then y: a field of ITK as `sitk.GetImageFromArray(field, isVector=True)` takes it, for
+            images without spacing, origin and direction. NaN where there is no position.
+
+        See Also
+        --------
+        to_sitk : The transform of SimpleITK for images that have a place in space.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> shift = mx.fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
+        >>> shift.displacement_field(2, 1).round(3) + 0.0
+        array([[[7., 0.], [7., 0.]]])
+        """
+        positions_of = self.inverse_map if check.flag(inverse, "inverse") else self.dense_map
+        x, y = positions_of(width, height, tolerance, outside=outside).astype(np.float64)
+        return np.stack([x - np.arange(x.shape[1]), y - np.arange(len(y))[:, None]], axis=-1)
+
+    def to_sitk(
+        self,
+        fixed: Any,
+        moving: Any = None,
+        tolerance: float = 0.05,
+        *,
+        inverse: bool = False,
+        outside: str = EXTRAPOLATE,
+    ) -> Any:
+        """Return the warp as a transform of SimpleITK, a displacement field (extra ``simpleitk``).
+
+        `sitk.Resample(moving, fixed, transform)` then resamples the moving image in the frame of the fixed image.
+
+        Parameters
+        ----------
+        fixed : sitk.Image
+            The source image, or the target image if `inverse`: its size, spacing, origin and direction.
+        moving : sitk.Image, optional
+            The other image, of which only spacing, origin and direction are used; by default they are those of `fixed`.
+        tolerance, outside
+            As for `dense_map`, or `inverse_map` if `inverse`.
+        inverse : bool
+            Whether the target image is the fixed one.
+
+        Returns
+        -------
+        sitk.DisplacementFieldTransform
+            From points of the fixed image to points of the moving image, both in ITK's physical space; NaN where there
+            is no position, for which `sitk.Resample` has its default value.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an image is none of SimpleITK with two dimensions.
+        ImportError
+            If SimpleITK is not installed.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import SimpleITK as sitk
+        >>> square = [[0, 0], [100, 0], [0, 100], [100, 100]]
+        >>> shift = mx.fit_warp(square, [[7, 0], [107, 0], [7, 100], [107, 100]], square[:3], fractional=False)
+        >>> image = sitk.Image(30, 20, sitk.sitkFloat32)
+        >>> np.round(shift.to_sitk(image).TransformPoint((2, 3)), 3).tolist()
+        [9.0, 3.0]
+        """
+        here = check_plane(fixed, "fixed")
+        there = here if moving is None else check_plane(moving, "moving")
+        positions_of = self.inverse_map if check.flag(inverse, "inverse") else self.dense_map
+        width, height = here.GetSize()
+        return displacement_transform(here, there, positions_of(width, height, tolerance, outside=outside))
 
     @cached_property
     def _samples(self) -> Floats:
