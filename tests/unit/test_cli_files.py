@@ -77,7 +77,7 @@ def mesh(write, tmp_path):
 
 
 LABELLED = [[k, *row, "good"] for k, row in enumerate(MATCHES.tolist())]
-QGIS = np.column_stack([TARGET, SOURCE * [1, -1], np.ones(30)])
+QGIS = np.column_stack([TARGET, (SOURCE + 0.5) * [1, -1], np.ones(30)])
 WITH_ONE_OFF = [*QGIS.tolist(), [9.0, 9.0, 9.0, -9.0, 0.0]]
 QGIS_NAMES = "mapX,mapY,sourceX,sourceY,enable"
 MATCHED = {
@@ -249,13 +249,13 @@ PLACED = {
     "QGIS": (
         "p.points",
         lines([*WITH_ONE_OFF[:9], WITH_ONE_OFF[-1]], QGIS_NAMES),
-        UNKNOWN * [1, -1],
+        (UNKNOWN + 0.5) * [1, -1],
         ["--columns", "sourceX,sourceY"],
     ),
     "QGIS, dropped": (
         "p.points",
         lines([WITH_ONE_OFF[-1], *WITH_ONE_OFF[:9]], QGIS_NAMES),
-        POINTS * [1, -1],
+        (POINTS + 0.5) * [1, -1],
         ["--columns", "sourceX,sourceY", "--missing", "drop"],
     ),
     "matches": ("m.csv", lines(MATCHES[:9].tolist(), "x1,y1,x2,y2"), POINTS, ["--columns", "x1,y1"]),

@@ -24,7 +24,7 @@ BIGWARP = """"Pt-0","true","10.5","20.25","110.5","120.25"
 def test_qgis(tmp_path, source, name):
     (tmp_path / name).write_text(QGIS.format(source=source))
     points, target, weights, known = read_weighted_matches(tmp_path / name)
-    np.testing.assert_array_equal(points, [[10.5, 20.25], [210, 220]])
+    np.testing.assert_array_equal(points, [[10, 19.75], [209.5, 219.5]])  # centres of pixels are whole
     np.testing.assert_array_equal(target, [[500010.5, 4649900.25], [500210, 4649700]])
     assert (weights, known.nonzero()[0].tolist()) == (None, [0, 2])
     assert read_weighted_matches(tmp_path / name, "residual").weights.tolist() == [0, 0]
@@ -48,7 +48,7 @@ def test_qgis_of_an_image_with_coordinates_must_be_told(tmp_path):
         read_matches(tmp_path / "scan.points", columns=columns)[0], [[10.5, -20.25], [210, 4649700]]
     )
     (tmp_path / "scan.points").write_text(QGIS.format(source="source").replace("110,-120,1", "110,120,0"))
-    np.testing.assert_array_equal(read_matches(tmp_path / "scan.points")[0], [[10.5, 20.25], [210, 220]])
+    np.testing.assert_array_equal(read_matches(tmp_path / "scan.points")[0], [[10, 19.75], [209.5, 219.5]])
 
 
 def test_bigwarp(tmp_path):

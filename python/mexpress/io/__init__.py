@@ -12,6 +12,7 @@ Examples
 
 from mexpress.io.clouds import Cloud, read_cloud
 from mexpress.io.keypoints import matches_of
+from mexpress.io.landmarks import write_landmarks
 from mexpress.io.matches import read_matches, read_points, read_weighted_matches, write_matches
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "read_matches",
     "read_points",
     "read_weighted_matches",
+    "write_landmarks",
     "write_matches",
 ]

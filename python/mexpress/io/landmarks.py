@@ -1,6 +1,7 @@
-"""Landmarks as programs save them that people mark them with: QGIS and BigWarp.
+"""Landmarks as programs save them that people mark them with: QGIS and BigWarp; and into files of QGIS and GDAL.
 
-Their tables have columns of their own, and say which landmarks are in use, as tables of any program may.
+Their tables have columns of their own, and say which landmarks are in use, as tables of any program may. QGIS and GDAL
+count pixels from the corner of the first one, half a pixel before its centre, where our points have 0.
 
 Examples
 --------
@@ -13,30 +14,37 @@ Examples
 ...         print("500000,4000000,12,-34,1", file=file)
 ...         print("500900,4000000,90,-34,0", file=file)
 ...     landmarks(read_text(Path(f"{folder}/scan.points"), "matches"))
-Landmarks(columns=[2, 3, 0, 1], signs=(1, -1, 1, 1))
+Landmarks(columns=[2, 3, 0, 1], signs=(1, -1, 1, 1), origin=0.5)
 """
 
+import os
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.io.archives import replacing
 from mexpress.io.tables import SWITCHES, Table, plain
 from mexpress.io.text import TextTable
+
+_CORNER = 0.5
+"""Where QGIS and GDAL have the centre of the first pixel."""
 
 _OFF, _ON = {"0", "0.0", "false", "no", "off"}, {"1", "1.0", "true", "yes", "on"}
 
 
 class Landmarks(NamedTuple):
-    """Columns x1 y1 x2 y2 of landmarks, and what to multiply them by.
+    """Columns x1 y1 x2 y2 of landmarks, what to multiply them by, and where x1 y1 then have the first pixel's centre.
 
     Those of BigWarp in space have six columns.
     """
 
     columns: list[int]
     signs: tuple[int, int, int, int]
+    origin: float
 
     def in_image(self, numbers: Floats, table: Table) -> Floats:
         """Return numbers (n, 4 or more) of the columns with y downwards; refuse those that are no pixels of images."""
@@ -51,7 +59,8 @@ class Landmarks(NamedTuple):
                 f"coordinates is read as it is with columns={names!r}."
             )
             check.refuse(table.name, rule.replace("'", '"'), f"{above[0]:g} in {table.where}")
-        return np.column_stack([numbers[:, :4] * self.signs, numbers[:, 4:]])
+        moved = numbers[:, :4] * self.signs - [self.origin, self.origin, 0, 0]
+        return np.column_stack([moved, numbers[:, 4:]])
 
 
 def landmarks(table: Table) -> Landmarks | None:
@@ -77,13 +86,13 @@ def _qgis(table: Table) -> Landmarks | None:
     if not {*wanted, "enable"} <= set(names):
         return None
     # In QGIS the y of an image without coordinates falls from 0 at its upper edge; ours grows downwards.
-    return Landmarks([names.index(name) for name in wanted], (1, -1, 1, 1))
+    return Landmarks([names.index(name) for name in wanted], (1, -1, 1, 1), _CORNER)
 
 
 def _bigwarp(table: TextTable) -> Landmarks | None:
     if table.width not in (6, 8) or table.first[1].lower() not in {"true", "false"}:
         return None
-    return Landmarks(list(range(2, table.width)), (1, 1, 1, 1))
+    return Landmarks(list(range(2, table.width)), (1, 1, 1, 1), 0.0)
 
 
 def out_of_use(table: Table) -> NDArray[np.bool_] | None:
@@ -120,3 +129,80 @@ def out_of_use(table: Table) -> NDArray[np.bool_] | None:
             )
             check.refuse(table.name, rule, table.place(row, column))
     return np.array([word in _OFF for word in words], dtype=np.bool_)
+
+
+def write_landmarks(
+    path: str | os.PathLike[str], source: ArrayLike, target: ArrayLike, *, crs: str | None = None
+) -> None:
+    """Write matches of an image and a map as ground control points of QGIS or GDAL.
+
+    Parameters
+    ----------
+    path : str or path
+        Name of the file; an existing one is replaced once the new one is complete. Its ending tells the program:
+
+        * `.points`: QGIS's Georeferencer loads it. `mexpress.io.read_matches` reads it back.
+        * `.txt`: options of GDAL, `gdal_translate --optfile gcps.txt photo.jpg photo.tif`; then
+          `gdalwarp -tps photo.tif map.tif`.
+    source : array_like, (n, 2)
+        Points of the image in pixels, x then y, 0 at the centre of the first pixel. Both programs count from that
+        pixel's corner, so that half a pixel is added.
+    target : array_like, (n, 2)
+        Their coordinates on the map, x (easting) then y (northing).
+    crs : str, optional
+        Reference system of the map, as the programs take it: "EPSG:32633", or its WKT.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the points are not as many in either place, or the path has another ending.
+    OSError
+        If the file cannot be written; an existing file is then unchanged.
+
+    Notes
+    -----
+    GDAL's ``-tps`` is a thin-plate spline through the points. Through the control points of a warp without a
+    denominator, and their images, it is the warp itself: ``write_landmarks(path, warp.control_points,
+    warp(warp.control_points))`` hands a smooth warp to GDAL, and the noise of the matches stays behind.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_landmarks(f"{folder}/gcps.txt", [[0, 9]], [[500000, 4000000]], crs="EPSG:32633")
+    ...     print(Path(f"{folder}/gcps.txt").read_text(), end="")
+    -a_srs "EPSG:32633"
+    -gcp 0.5 9.5 500000.0 4000000.0
+    """
+    pixels, places = check.points(source, "source") + _CORNER, check.points(target, "target")
+    if len(pixels) != len(places):
+        check.refuse("target", "It must have one point per source point.", f"{len(places)} for {len(pixels)}")
+    if not (crs is None or (isinstance(crs, str) and crs.strip())):
+        rule = 'It must be a name such as "EPSG:32633", or WKT.'
+        check.refuse("crs", rule, check.describe(crs), ValueError if isinstance(crs, str) else TypeError)
+    system = None if crs is None else " ".join(crs.split())
+    ending = check.path(path).suffix.lower()
+    if ending not in _WRITTEN:
+        check.refuse("path", "It must end in .points or .txt.", check.describe(os.fspath(path)))
+    lines = _WRITTEN[ending](np.column_stack([pixels, places]), system)
+    with replacing(path) as file:
+        file.write("".join(f"{line}\n" for line in lines).encode())
+
+
+def _for_qgis(rows: Floats, crs: str | None) -> Iterator[str]:
+    if crs is not None:
+        yield f"#CRS: {crs}"
+    yield "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
+    for column, line, x, y in rows.tolist():
+        yield f"{x},{y},{column},{-line},1,0,0,0"
+
+
+def _for_gdal(rows: Floats, crs: str | None) -> Iterator[str]:
+    if crs is not None:
+        yield '-a_srs "{}"'.format(crs.replace("\\", "\\\\").replace('"', '\\"'))
+    for column, line, x, y in rows.tolist():
+        yield f"-gcp {column} {line} {x} {y}"
+
+
+_WRITTEN = {".points": _for_qgis, ".txt": _for_gdal}

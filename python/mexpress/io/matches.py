@@ -64,9 +64,9 @@ def read_matches(
         * `.parquet`, with the extra ``parquet``.
         * A frame of pandas or polars.
         * Landmarks of QGIS (`.points`) and BigWarp, without those that are not enabled or active. Images of QGIS have a
-          y that is negative below their upper edge; its sign is changed, so that the source has y downwards. Images
-          with coordinates need `columns`. Rows of any table whose column `enable`, `enabled` or `active` is 0 or false
-          are left out.
+          y that is negative below their upper edge, and count from the first pixel's corner; the source has y downwards
+          and 0 at that pixel's centre. Images with coordinates need `columns`. Rows of any table whose column `enable`,
+          `enabled` or `active` is 0 or false are left out.
 
         A header finds the columns in any order and among others, by these names or by those such as src_x, sourceX,
         x_left, u0, moving_x. Columns of no known name must be four.
