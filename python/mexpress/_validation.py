@@ -249,6 +249,12 @@ def _expect_order(value: Any, name: str) -> None:
         refuse(name, rule, f"{value.columns[0]}, {value.columns[1]}")
 
 
+def axes_of(value: Any) -> tuple[str, str] | None:
+    """What the two columns of a frame are called; None for what has no names."""
+    names = [str(column) for column in getattr(value, "columns", ())]
+    return (names[0], names[1]) if len(names) == 2 else None
+
+
 def _as_points(shape: tuple[int, ...], dimension: int | None) -> str:
     """Say how to make points of an array of another shape, if that is clear."""
     width = dimension or 3

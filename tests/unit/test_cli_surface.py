@@ -332,3 +332,16 @@ def test_a_message_names_standard_input(tmp_path, capsys, monkeypatch, model):
     errors = capsys.readouterr().err
     assert "standard input" in errors
     assert "surface.npz" not in errors
+
+
+def test_degrees_are_noted(run, tmp_path):
+    points = RNG.uniform([10, 47], [11, 48], (80, 2))
+    rows = np.column_stack([points, np.sin(6 * points[:, 0])])
+    np.savetxt(tmp_path / "stations.csv", rows, delimiter=",", header="lon,lat,elevation", comments="")
+    status, _, errors = run(
+        "surface", tmp_path / "stations.csv", "--no-plots", *FAST, "--out", tmp_path / "out"
+    )
+    assert status == 0, errors
+    said = json.loads((tmp_path / "out" / "selection.json").read_text())["notes"]
+    assert [note for note in said if "longitudes and latitudes in degrees" in note]
+    assert "Project the points first" in errors

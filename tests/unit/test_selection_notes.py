@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.cbook import get_sample_data
 
@@ -264,6 +265,53 @@ def test_points_outside_of_the_image():
     noisy = source.copy()
     noisy[0] = [641, -1]
     assert about(mx.select_warp(noisy, target, image_size=SIZE), "outside") is None
+
+
+def on_earth(names, west, east, south, north):
+    points, values = depths(60)
+    return pd.DataFrame(points * [east - west, north - south] + [west, south], columns=names), values
+
+
+@pytest.mark.parametrize("names", [("lon", "lat"), ("Longitude [deg]", "Latitude [deg]"), ("LNG", "LAT")])
+def test_degrees_are_known_by_the_names_of_columns(names):
+    points, values = on_earth(names, 5, 6, 47, 48)
+    note = about(mx.select_surface(points, values), "degrees")
+    mean = points.to_numpy()[:, 1].mean()
+    assert numbers_in(note) == [
+        round(mean, 1),
+        round(np.cos(np.radians(mean)), 2),
+        round(np.cos(np.radians(mean)), 3),
+    ]
+    # Without names the same numbers may be pixels or metres.
+    assert mx.select_surface(points.to_numpy(), values).notes == ()
+
+
+def test_degrees_of_a_wide_region_are_projected_not_scaled():
+    points, values = on_earth(["lon", "lat"], -20, 40, 30, 60)
+    note = about(mx.select_surface(points, values), "degrees")
+    ratios = np.cos(np.radians(points["lat"]))
+    assert f"({ratios.min():.2f} to {ratios.max():.2f} over all points)" in note
+    assert "multiplying" not in note
+
+
+def test_latitude_first_is_a_mirror_image():
+    points, values = on_earth(["lon", "lat"], 5, 6, 47, 48)
+    turned = mx.select_surface(points[["lat", "lon"]], values)
+    assert about(turned, "degrees") == about(mx.select_surface(points, values), "degrees")
+
+
+@pytest.mark.parametrize(
+    ("names", "region"),
+    [
+        (["x", "y"], (5, 6, 47, 48)),
+        (["col", "row"], (0, 90, 0, 90)),
+        (["lon", "lat"], (500_000, 501_000, 5_200_000, 5_201_000)),  # projected, and still called so
+        (["lon", "lat"], (5, 6, 1, 2)),  # where degrees are as long as each other
+        (["lon", "depth"], (5, 6, 47, 48)),
+    ],
+)
+def test_what_is_no_trouble_with_degrees(names, region):
+    assert about(mx.select_surface(*on_earth(names, *region)), "degrees") is None
 
 
 def test_a_radius_beyond_the_data():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,7 @@ def _run(arguments: argparse.Namespace) -> None:
         min_distance=arguments.min_distance,
         **options,
     )
+    selection = replace(selection, axes=cloud.axes)
     fit = _fit(selection)
     _print(selection, cloud, unit, fit["residuals"])
     common.warn_of_notes(selection)

@@ -24,6 +24,7 @@ from mexpress.io.archives import ARCHIVES, read_data
 from mexpress.io.depth import DepthMap, depth_of_array, depth_of_raster
 from mexpress.io.grids import is_grid
 from mexpress.io.images import read_raster
+from mexpress.io.labelled import is_labelled, read_labelled
 from mexpress.io.landmarks import out_of_use
 from mexpress.io.matches import WEIGHT_ARRAY, WEIGHT_COLUMN, named_weights
 from mexpress.io.missing import Missing
@@ -62,6 +63,8 @@ class Cloud:
         Weights of the data, if there are some.
     unit : str or None
         What the values are in, if the file or a scale tells: "m".
+    axes : (str, str) or None
+        What x and y are called where they come from, such as ("lon", "lat"), if they have names.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class Cloud:
     n_missing: int = 0
     weights: Floats | None = None
     unit: str | None = None
+    axes: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
         points = check.points(self.points, "points")
@@ -115,8 +119,9 @@ class _Points(NamedTuple):
     values: Floats
     missing: Missing = Missing()
     image_size: None = None
-    unit: None = None
+    unit: str | None = None
     weights: Floats | None = None
+    axes: tuple[str, str] | None = None
 
     @property
     def total(self) -> int:
@@ -157,7 +162,7 @@ def read_cloud(
 
     Parameters
     ----------
-    path : path or frame
+    path : path, frame or DataArray
         The ending tells what it is.
 
         * `.png`, `.tif`, `.tiff`, `.pgm`, `.pnm`, `.pfm`, and `.asc` if it is ESRI's grid: a depth map, a number per
@@ -168,6 +173,7 @@ def read_cloud(
         * `.npz`: arrays `points` (n, 2) and `values`, (n,) or (n, d), or `uv` and `points3d`; or a depth map
           called `depth`; or one array as in `.npy`, called `points` if there are others besides single numbers.
         * `.ply`, `.obj`: the vertices' x y z, whatever else there is.
+        * A DataArray of xarray with two dimensions: its coordinates are x and y, and its attribute `units` is the unit.
         * `.parquet`, frames of pandas and polars, and any other ending, which is text: a table, a datum per row, as
           `mexpress.io.matches.read_matches` reads it.
 
@@ -250,7 +256,8 @@ def read_cloud(
         chosen = np.sort(random.choice(valid, most, replace=False, shuffle=False))
     shares = None if source.weights is None else source.weights[chosen]
     n_missing = source.total - len(valid)
-    cloud = Cloud(*source.data(chosen), source.image_size, len(valid), n_missing, shares, source.unit)
+    axes = None if isinstance(source, DepthMap) else source.axes
+    cloud = Cloud(*source.data(chosen), source.image_size, len(valid), n_missing, shares, source.unit, axes)
     for note in _guesses(source, valid, scale, where(path)):
         warnings.warn(note, stacklevel=2)
     return cloud
@@ -259,7 +266,7 @@ def read_cloud(
 def _guesses(source: DepthMap | _Points, valid: Integers, scale: float | None, place: str) -> list[str]:
     """Return what the numbers were taken for, or seem to be, without being told."""
     notes = note_placeholders(source.numbers(valid), place)
-    if scale is not None or source.unit is None:
+    if scale is not None or source.unit is None or not isinstance(source, DepthMap):
         return notes
     return [
         f"{place} has whole numbers in a unit that it does not say: they were taken for millimetres, and divided "
@@ -286,6 +293,8 @@ def _calibrated(
 
 
 def _read(path: Source, told: _Told) -> DepthMap | _Points:
+    if is_labelled(path):
+        return _from_labelled(path, told)
     expect_source(path, "cloud")
     source, weights = _with_weights(path, told)
     named_weights(weights, told.weights, where(path))
@@ -318,6 +327,14 @@ def _with_weights(source: Source, told: _Told) -> tuple[DepthMap | _Points, Any]
     return _from_table(read_table(source, "cloud"), told, first=ending == ".xyz")
 
 
+def _from_labelled(array: Any, told: _Told) -> _Points:
+    for name, value in (("columns", told.columns), ("weights", told.weights)):
+        if value is not None:
+            check.refuse(name, "They belong to a file or a frame.", f"{value!r} for a DataArray")
+    points, values, unit, axes = read_labelled(array)
+    return _Points(points, values, unit=unit, axes=axes)
+
+
 def _without_columns(source: Source, told: _Told) -> Path:
     if told.columns is not None:
         check.refuse("columns", "They belong to a table.", f"{told.columns} for {where(source)}")
@@ -329,7 +346,8 @@ def _from_table(table: Table, told: _Told, *, first: bool = False, more: str = "
     choice = choose(table, [UVXYZ, XYZ], told.columns, weight, first=first, more=more)
     numbers, _ = complete(table, choice.all, Missing(told.missing.values, keep=True), out_of_use(table))
     d = len(choice.columns)
-    points = _Points(numbers[:, :2], numbers[:, 2] if d == 3 else numbers[:, 2:d])
+    axes = (table.names[choice.columns[0]], table.names[choice.columns[1]]) if table.names else None
+    points = _Points(numbers[:, :2], numbers[:, 2] if d == 3 else numbers[:, 2:d], axes=axes)
     return points, None if choice.weight is None else numbers[:, d]
 
 

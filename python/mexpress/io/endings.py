@@ -50,7 +50,7 @@ _FOREIGN = {
     ".mat": _ARRAYS.format(library="scipy.io.loadmat"),
     **dict.fromkeys([".yml", ".yaml", ".xml"], _ARRAYS.format(library="cv2.FileStorage")),
     **dict.fromkeys([".h5", ".hdf5"], _ARRAYS.format(library="h5py")),
-    ".nc": _ARRAYS.format(library="xarray"),
+    ".nc": 'in Python read_cloud takes xarray.open_dataset("{file}")["name"], one of its variables',
     **dict.fromkeys([".pt", ".pth"], _ARRAYS.format(library="torch.load")),
     **dict.fromkeys([".pkl", ".pickle"], _ARRAYS.format(library="pickle.load")),
     ".json": _ARRAYS.format(library="json.load"),

@@ -14,6 +14,7 @@ from typing import Any
 from mexpress import _validation as check
 from mexpress.io.archives import read_arrays
 from mexpress.io.endings import refuse_foreign
+from mexpress.io.labelled import is_labelled
 from mexpress.io.tables import ArrayTable, Table
 from mexpress.io.text import STANDARD_INPUT, read_text
 
@@ -56,13 +57,11 @@ def where(source: Source) -> str:
     >>> where("data/points.csv")
     'points.csv'
     """
-    return (
-        "the frame"
-        if is_frame(source)
-        else "standard input"
-        if str(source) == STANDARD_INPUT
-        else Path(source).name
-    )
+    if is_frame(source):
+        return "the frame"
+    if is_labelled(source):
+        return "the DataArray"
+    return "standard input" if str(source) == STANDARD_INPUT else Path(source).name
 
 
 def read_table(source: Source, name: str) -> Table:

@@ -21,7 +21,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.io.missing import Missing
 
-_AXES = (
+AXES = (
     ("x", "y"),
     ("u", "v"),
     ("xx", "yy"),
@@ -40,6 +40,7 @@ _AXES = (
     ("c", "r"),
     ("sample", "line"),
 )
+"""Names of x and y that belong together."""
 _EITHER = (("i", "j"), ("j", "i"))
 """Axes of which some take the first for x, and some for y."""
 _COUNTED = re.compile(r"[cren]\d*|(col|column|row|line|sample)\d+")
@@ -91,7 +92,7 @@ def _beside(side: str, axis: str) -> tuple[str, str]:
 _PAIRED = [
     names
     for sides in _SIDES
-    for axes in _AXES
+    for axes in AXES
     for names in zip(*(_beside(side, axis) for side in sides for axis in axes), strict=True)
 ]
 MATCHES = Layout(
@@ -101,8 +102,8 @@ MATCHES = Layout(
         *(names for a, b in _LETTERS for names in zip(*map(_beside, (a, a, b, b), "xyxy"), strict=True)),
     ],
 )
-POINTS = Layout(("x", "y"), [*_AXES, *sorted({pair for names in _PAIRED for pair in (names[:2], names[2:])})])
-XYZ = Layout(("x", "y", "z"), [(*axes, height) for axes in _AXES for height in _HEIGHTS])
+POINTS = Layout(("x", "y"), [*AXES, *sorted({pair for names in _PAIRED for pair in (names[:2], names[2:])})])
+XYZ = Layout(("x", "y", "z"), [(*axes, height) for axes in AXES for height in _HEIGHTS])
 UVXYZ = Layout(("u", "v", "x", "y", "z"), [("u", "v", "x", "y", "z")], nameless=False)
 
 
@@ -267,7 +268,7 @@ def _unclear(names: Sequence[str], layout: Layout) -> str:
     """Say which column may be meant instead of the first, or of one with it, if names contradict the order."""
     plain_names = [plain(name) for name in names]
     pairs: list[tuple[int, int, Sequence[tuple[str, str]]]]
-    pairs = [(k, k + 1, (*_AXES, *_EITHER)) for k in range(0, len(names) - 1, 2)]
+    pairs = [(k, k + 1, (*AXES, *_EITHER)) for k in range(0, len(names) - 1, 2)]
     if layout is MATCHES:
         pairs += [(k, k + 2, _SIDES) for k in range(len(names) - 2)]
     return next(

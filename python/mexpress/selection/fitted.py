@@ -66,6 +66,9 @@ class FittedSelection(Selection, Generic[ModelT]):
     searched: bool = field(kw_only=True, default=False)
     """Whether wrong data were searched for."""
 
+    axes: tuple[str, str] | None = field(kw_only=True, default=None)
+    """What x and y of the points are called, if they were columns of a frame."""
+
     again: Callable[[Integers], Any] = field(kw_only=True, default=None)  # type: ignore[assignment]
     """Returns the selection for some of the data, given their indices, with the same settings."""
 
@@ -105,9 +108,8 @@ class FittedSelection(Selection, Generic[ModelT]):
         >>> mx.select_warp(source, target).notes[0][-67:]
         'looks like wrong data. robust=True finds and leaves out wrong data.'
         """
-        return notes(
-            Subject(self, self._kept_data, self._model, self.placement, self.searched, self.least_squares)
-        )
+        data, model = self._kept_data, self._model
+        return notes(Subject(self, data, model, self.placement, self.searched, self.least_squares, self.axes))
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:

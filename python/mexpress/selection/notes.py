@@ -18,6 +18,7 @@ from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.criteria import WITHOUT_HOLDING_OUT, family, parse
 from mexpress.geometry import diagonal, lattice, lengths_of
+from mexpress.io.tables import plain
 from mexpress.leastsquares.model import LeastSquares, datum_of_row
 from mexpress.models import Model, Warp
 from mexpress.schemes import Places
@@ -54,6 +55,11 @@ _SAMPLES = 4000
 
 _INTERPOLATES, _PLAIN = 0.95, 1.1
 
+_LONGITUDE = {"lon", "long", "lng", "longitude"}
+_LATITUDE = {"lat", "latitude"}
+_UNEQUAL = 0.95
+"""Degrees of longitude are shorter than those of latitude if, somewhere, their ratio is less: beyond 18 degrees."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -73,6 +79,8 @@ class Subject:
         Whether wrong data have been searched for.
     least_squares : callable
         Returns the least-squares problem of the model.
+    axes : (str, str), optional
+        What x and y of the points are called.
     """
 
     scores: Selection
@@ -81,6 +89,7 @@ class Subject:
     placement: str
     searched: bool
     least_squares: Callable[[], LeastSquares]
+    axes: tuple[str, str] | None = None
 
     @cached_property
     def residuals(self) -> Floats:
@@ -190,6 +199,7 @@ def notes(subject: Subject) -> tuple[str, ...]:
     checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
         _outside_image,
         _speck_of_image,
+        _degrees,
         _wrong_data,
         _failures,
         _wide_radius,
@@ -238,6 +248,30 @@ def _speck_of_image(subject: Subject) -> Iterator[str]:
             f"The source points extend over {extent:.3g} only, in an image of {width:g} x {height:g} pixels. Give "
             "points in pixels, not as fractions of the image, or no image_size=SIZE."
         )
+
+
+def _degrees(subject: Subject) -> Iterator[str]:
+    """Names alone tell degrees: pixels, metres and fractions may have the same numbers."""
+    names = [plain(name) for name in subject.axes or ()]
+    if not (_LONGITUDE.intersection(names) and _LATITUDE.intersection(names)):
+        return
+    latitude = 0 if names[0] in _LATITUDE else 1
+    latitudes, longitudes = subject.data.points[:, latitude], subject.data.points[:, 1 - latitude]
+    if np.abs(latitudes).max() > 90 or longitudes.min() < -180 or longitudes.max() > 360:
+        return
+    ratios = np.cos(np.radians(latitudes))
+    if ratios.min() >= _UNEQUAL:
+        return
+    mean = float(latitudes.mean())
+    ratio = math.cos(math.radians(mean))
+    wide = ratios.max() - ratios.min() > 1 - _UNEQUAL
+    span = f" ({ratios.min():.2f} to {ratios.max():.2f} over all points)" if wide else ""
+    scaled = "" if wide else f"; multiplying the longitudes by {ratio:.3f} comes close"
+    yield (
+        f"The points are longitudes and latitudes in degrees. At their mean latitude of {mean:.3g} a degree of "
+        f"longitude is {ratio:.2f} of one of latitude{span}, but counts as much in the {subject.shape} and in what is "
+        f"held out. Project the points first, with pyproj for example{scaled}."
+    )
 
 
 def _wrong_data(subject: Subject) -> Iterator[str]:

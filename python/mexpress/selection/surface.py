@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -107,7 +107,8 @@ def select_surface(
     Parameters
     ----------
     points : (n, 2) array
-        Positions of the data: pixels of a depth map, or parameters of a sheet.
+        Positions of the data: pixels of a depth map, or parameters of a sheet. Degrees of longitude and latitude are
+        to be projected first: a note of the result says so if a frame's columns are called lon and lat.
     values : (n,) or (n, d) array
         Depths, or positions in d dimensions.
     criterion : str, optional
@@ -204,7 +205,8 @@ def select_surface(
         seed,
         threads,
     )
-    return select_of(data, question, criteria, robust, "surface" if progress else None)
+    found = select_of(data, question, criteria, robust, "surface" if progress else None)
+    return replace(found, axes=check.axes_of(points))
 
 
 @dataclass(frozen=True, eq=False)
