@@ -8,6 +8,7 @@ Plane(y='lat', x='lon')
 """
 
 from collections.abc import Hashable
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,26 @@ class Plane(NamedTuple):
 
     y: Hashable
     x: Hashable
+
+
+def import_xarray() -> ModuleType:
+    """Return xarray.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed; the message names the extra.
+
+    Examples
+    --------
+    >>> import_xarray().__name__
+    'xarray'
+    """
+    try:
+        import xarray  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ImportError("A Dataset needs xarray: pip install 'mexpress[xarray]'") from error
+    return xarray
 
 
 def is_labelled(source: Any) -> bool:

@@ -22,7 +22,7 @@ from mexpress.models.observations import Observations
 
 _CURVES = "error_curves"
 
-EXTRAPOLATE, _NAN = "extrapolate", "nan"
+EXTRAPOLATE, NAN = "extrapolate", "nan"
 """What models return outside their domain."""
 
 
@@ -34,10 +34,10 @@ def check_outside(outside: object) -> bool:
     >>> check_outside("nan")
     True
     """
-    if not isinstance(outside, str) or outside not in {EXTRAPOLATE, _NAN}:
-        rule = f'It must be "{EXTRAPOLATE}" or "{_NAN}".'
+    if not isinstance(outside, str) or outside not in {EXTRAPOLATE, NAN}:
+        rule = f'It must be "{EXTRAPOLATE}" or "{NAN}".'
         check.refuse("outside", rule, check.describe(outside))
-    return outside == _NAN
+    return outside == NAN
 
 
 @dataclass(frozen=True, eq=False, repr=False)

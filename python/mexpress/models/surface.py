@@ -1,8 +1,9 @@
 """Surfaces: smooth functions, fitted to depths or to points in space, over a region of the plane."""
 
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,18 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.geometry import EDGE, Region, area, inside
+from mexpress.geometry import Region, area, inside
 from mexpress.io import meshes
+from mexpress.io.labelled import import_xarray
 from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.design import CardinalBasis, Design, linear_design
-from mexpress.models.expectation import EXTRAPOLATE, FittedModel
+from mexpress.models.expectation import EXTRAPOLATE, NAN, FittedModel, check_outside
 from mexpress.models.observations import Observations
+from mexpress.models.sampling import Box, Sheet, like_another, named, names_of, positions, regular, unit_of
 
-_SAMPLES = 10_000
-"""Default number of samples of a grid inside the domain, approximately."""
+if TYPE_CHECKING:
+    import xarray as xr
 
-_MOST_SAMPLES = 10**7
-"""Largest number of samples of a grid, inside the domain or not; more are refused as a mistake."""
+_ERROR = "error"
+"""What the error to expect is called in a Dataset."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +75,7 @@ class SurfaceGrid:
     @property
     def points(self) -> Floats:
         """Positions of all samples, row after row, (rows * columns, 2)."""
-        return _positions(self.x, self.y)
+        return positions(self.x, self.y)
 
     @cached_property
     def error(self) -> Floats:
@@ -95,10 +98,7 @@ class SurfaceGrid:
         >>> bool(np.mean((band[0] < truth) & (truth < band[1]), where=grid.inside) > 0.9)
         True
         """
-        errors = np.full(self.inside.shape, np.nan)
-        if self.inside.any():
-            errors[self.inside] = self.surface.error(self.points[self.inside.ravel()])
-        return errors
+        return self.surface._over(self.surface.error, self.x, self.y, self.inside)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -272,12 +272,109 @@ class Surface(FittedModel):
         >>> grid.triangles
         array([[0, 1, 4], [0, 4, 3], [1, 2, 4], [3, 4, 6]])
         """
-        x, y = self._axes(step, shape)
+        x, y = regular(self._box, step, shape)
         within = inside(self.domain, x, y[:, None])
-        values = np.full((*within.shape, *self.parameters.shape[1:]), np.nan)
-        if within.any():
-            values[within] = self(_positions(x, y)[within.ravel()])
-        return SurfaceGrid(x, y, values, within, _triangles(within), self)
+        return SurfaceGrid(x, y, self._over(self, x, y, within), within, _triangles(within), self)
+
+    def to_xarray(
+        self,
+        region: ArrayLike | None = None,
+        spacing: float | None = None,
+        shape: tuple[int, int] | None = None,
+        like: Any = None,
+        *,
+        names: str | Sequence[str] | None = None,
+        dims: tuple[str, str] | None = None,
+        units: str | None = None,
+        xy_units: str | None = None,
+        error: bool = True,
+        outside: str = NAN,
+    ) -> "xr.Dataset":
+        """Sample the surface on a grid, as a Dataset of xarray with its coordinates (extra ``xarray``).
+
+        Parameters
+        ----------
+        region : (west, east, south, north), optional
+            What the grid covers, in the order that verde and GMT have; by default the bounding box of the domain.
+        spacing : float, optional
+            Distance of neighbouring samples, from the south-west corner on; by default it gives about 10,000 samples.
+        shape : tuple of int, optional
+            Numbers of rows (along y) and columns that fill the region, each 2 or more, instead of a spacing.
+        like : DataArray, Dataset or SurfaceGrid, optional
+            A grid whose coordinates are taken, with all that belongs to them: names, attributes, direction, and
+            coordinates without a dimension such as rioxarray's `spatial_ref`. It takes the place of region, spacing,
+            shape, dims and xy_units.
+        names : str or sequence of str, optional
+            What the values are called, a name for each; "value" by default, of several "value_0", "value_1" and so on.
+        dims : tuple of str, optional
+            Names of the dimensions, y first; ("y", "x") by default.
+        units, xy_units : str, optional
+            Units of the values and the error, and of the coordinates, for their attributes: "m".
+        error : bool
+            Whether to compute the error to expect at every sample.
+        outside : {"nan", "extrapolate"}
+            What to return outside the domain, the convex hull of the data.
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable of (rows, columns) for each value, and `error`, see `Surface.error`; of several values it is the
+            norm of the difference.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the grid has more than 10^7 samples or no region, arguments contradict each other, or names are the same.
+            If an error is wanted, and the surface has no data.
+        ImportError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> square = [[0, 0], [2, 0], [0, 2], [2, 2]]
+        >>> surface = mx.fit_surface(square, [0, 2, 2, 4], square)
+        >>> grid = surface.to_xarray(region=(0, 2, 0, 1), spacing=1, names="depth", units="m", error=False)
+        >>> grid["depth"].dims, grid["depth"].units, grid["x"].values
+        (('y', 'x'), 'm', array([0., 1., 2.]))
+        >>> grid["depth"].values.round(6) + 0.0
+        array([[0., 1., 2.],
+               [1., 2., 3.]])
+        """
+        xarray = import_xarray()
+        own = {"region": region, "spacing": spacing, "shape": shape, "dims": dims, "xy_units": xy_units}
+        if like is None:
+            box = self._box if region is None else Box.of(region)
+            x, y = regular(box, spacing, shape, "spacing")
+            grid = named(x, y, ("y", "x") if dims is None else dims, unit_of(xy_units, "xy_units"))
+        else:
+            for argument, value in own.items():
+                if value is not None:
+                    rule = "It must be None when there is a grid to be like."
+                    check.refuse(argument, rule, check.describe(value))
+            grid = like_another(like)
+        called, unit = self._names(names, grid, check.flag(error, "error")), unit_of(units, "units")
+        within = inside(self.domain, grid.x, grid.y[:, None])
+        wanted = within if check_outside(outside) else np.ones_like(within)
+        layers = self._over(self, grid.x, grid.y, wanted).reshape(*wanted.shape, -1)
+        attributes = {} if unit is None else {"units": unit}
+        variables = {name: (grid.dims, layers[..., k], attributes) for k, name in enumerate(called)}
+        if error:
+            told = {"long_name": "error to expect of a measurement (RMS)", **attributes}
+            variables[_ERROR] = grid.dims, self._over(self.error, grid.x, grid.y, wanted), told
+        dataset: xr.Dataset = xarray.Dataset(variables, grid.coordinates, {"source": f"mexpress: {self!r}"})
+        return dataset
+
+    def _names(self, names: str | Sequence[str] | None, grid: Sheet, error: bool) -> list[str]:
+        """Return what the values are called on a grid."""
+        d = self._dimension
+        if names is None:
+            names = ["value"] if d == 1 else [f"value_{k}" for k in range(d)]
+        rule = f"It must be {d} names, those of coordinates and {_ERROR} excepted."
+        called = names_of(names, "names", d, rule)
+        if taken := set(called) & {*grid.dims, *grid.coordinates, *([_ERROR] if error else [])}:
+            check.refuse("names", rule, ", ".join(sorted(map(str, taken))))
+        return called
 
     def write_mesh(
         self,
@@ -358,46 +455,22 @@ class Surface(FittedModel):
             rule = f"It must have one value, a depth, or three, a point in space, to {purpose}."
             check.refuse("surface", rule, f"{self._dimension} values")
 
-    def _axes(self, step: float | None, shape: tuple[int, int] | None) -> tuple[Floats, Floats]:
-        low, extent = self.domain.min(axis=0), np.ptp(self.domain, axis=0)
-        if shape is not None:
-            if step is not None:
-                check.refuse("shape", "It must be None when there is a step.", check.describe(shape))
-            rows, columns = _grid_shape(shape)
-            _check_samples(rows * columns, "shape", check.describe(shape))
-            return low[0] + np.linspace(0, extent[0], columns), low[1] + np.linspace(0, extent[1], rows)
-        spacing = self._default_step() if step is None else check.positive(step, "step")
-        with np.errstate(over="ignore"):
-            columns, rows = np.floor(extent / spacing + EDGE) + 1
-        _check_samples(columns * rows, "step", f"{spacing:g}")
-        return low[0] + spacing * np.arange(columns), low[1] + spacing * np.arange(rows)
+    @property
+    def _box(self) -> Box:
+        return Box(self.domain.min(axis=0), np.ptp(self.domain, axis=0), area(self.domain))
 
-    def _default_step(self) -> float:
-        """Return the step that gives about 10,000 samples inside, within the limit on all samples."""
-        extent = np.ptp(self.domain, axis=0)
-        return float(np.sqrt(max(area(self.domain) / _SAMPLES, extent.prod() / (100 * _SAMPLES))))
+    def _over(
+        self, function: Callable[[Floats], Floats], x: Floats, y: Floats, wanted: NDArray[np.bool_]
+    ) -> Floats:
+        """Return values of a function at the samples of a grid that are wanted, (rows, columns, ...), NaN at others."""
+        found = function(positions(x, y)[wanted.ravel()])
+        values = np.full((*wanted.shape, *found.shape[1:]), np.nan)
+        values[wanted] = found
+        return values
 
     def _texture(self, points: Floats) -> Floats:
         right, up = ((points - self.domain.min(axis=0)) / np.ptp(self.domain, axis=0)).T
         return np.column_stack([right, 1 - up])
-
-
-def _grid_shape(shape: Any) -> tuple[int, int]:
-    rule = "It must be (rows, columns)."
-    sizes = check.items(shape, "shape", rule)
-    if len(sizes) != 2:
-        check.refuse("shape", rule, check.describe(shape))
-    rows, columns = (check.count(sizes[k], f"shape[{k}]", 2, _MOST_SAMPLES) for k in range(2))
-    return rows, columns
-
-
-def _check_samples(number: float, name: str, given: str) -> None:
-    if number > _MOST_SAMPLES:
-        check.refuse(name, f"A grid must have at most {_MOST_SAMPLES} samples.", f"{given}, hence {number:g}")
-
-
-def _positions(x: Floats, y: Floats) -> Floats:
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
 
 
 def _triangles(inside: NDArray[np.bool_]) -> Integers:
