@@ -360,7 +360,7 @@ class Surface(FittedModel):
         attributes = {} if unit is None else {"units": unit}
         variables = {name: (grid.dims, layers[..., k], attributes) for k, name in enumerate(called)}
         if error:
-            told = {"long_name": "error to expect of a measurement (RMS)", **attributes}
+            told = {"long_name": "error to expect", **attributes}
             variables[_ERROR] = grid.dims, self._over(self.error, grid.x, grid.y, wanted), told
         dataset: xr.Dataset = xarray.Dataset(variables, grid.coordinates, {"source": f"mexpress: {self!r}"})
         return dataset
