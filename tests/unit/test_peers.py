@@ -254,6 +254,7 @@ def scattered(board=BOARD, size=600, seed=1):
     return table[["easting", "northing"]].to_numpy(), table["scalars"].to_numpy()
 
 
+@pytest.mark.slow
 def test_verde_spline():
     """It is perfect at the data, and near the truth between them."""
     points, values = scattered(size=1500)
@@ -281,7 +282,7 @@ def test_verde_spline_region():
 def test_verde_spline_weights():
     """A weight makes an outlier count for nothing."""
     board = verde.synthetic.CheckerBoard()
-    points, values = scattered(board, 800)
+    points, values = scattered(board, 550)
     wrong, weights = values.copy(), np.ones(len(values))
     wrong[500] += 100e3
     weights[500] = 1e-10
