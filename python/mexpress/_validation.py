@@ -251,7 +251,7 @@ def _expect_order(value: Any, name: str) -> None:
 
 def axes_of(value: Any) -> tuple[str, str] | None:
     """What the two columns of a frame are called; None for what has no names."""
-    names = [str(column) for column in getattr(value, "columns", ())]
+    names = [str(column) for column in getattr(value, "column_names", getattr(value, "columns", ()))]
     return (names[0], names[1]) if len(names) == 2 else None
 
 
