@@ -72,17 +72,17 @@ def draw_errors(error, paper, errors):
     by_count = {}
     for name, count in paper.selected.items():
         by_count.setdefault(count, []).append(name)
-    below = 0
+    # There is room above the curve; on its right, where it is level, names stand one above the other.
+    height = errors[paper.counts > paper.counts[-1] / 2].max()
     for count, names in sorted(by_count.items()):
-        axes.plot(count, errors[count - 3], "o", color="#D55E00")
-        last = (
-            count > paper.counts[-1] / 2
-        )  # where there is room: above on the left, one below the other on the right
-        beside = {"ha": "right", "va": "top"} if last else {"ha": "left", "va": "bottom"}
-        offset = (4, -8 - 13 * below) if last else (6, 3)
-        below += last
-        place = count, errors[count - 3]
-        axes.annotate(f"{count}: {', '.join(names)}", place, offset, textcoords="offset points", **beside)
+        place, right = (count, errors[count - 3]), count > paper.counts[-1] / 2
+        axes.plot(*place, "o", color="#D55E00", zorder=3)
+        line = {"arrowstyle": "-", "color": "#D55E00", "shrinkA": 0, "relpos": (float(right), 0)}
+        beside = {"ha": "right" if right else "left", "va": "bottom", "arrowprops": line}
+        axes.annotate(
+            f"{count}: {', '.join(names)}", place, (count, height if right else place[1] + 6), **beside
+        )
+        height += 7 * right
     axes.margins(0.05, 0.12)
     axes.set(xlabel="number of control points", ylabel="RMS error at the elevations not used (m)")
     axes.set_title("the truth, and what every criterion selects", loc="left")

@@ -101,7 +101,11 @@ def draw_errors(errors, shape):
     for axes, (name, values) in zip(panels, errors.items(), strict=True):
         extent = (-0.5, shape[1] - 0.5, shape[0] - 0.5, -0.5)
         drawn = axes.imshow(values, extent=extent, vmin=0, vmax=20, interpolation="nearest")
+        axes.set_facecolor("0.85")
         axes.set_title(f"{name}: median {np.nanmedian(values):.1f} pixels", loc="left")
+    panels[1].set_xlabel(
+        "gray: not judged, for there is a match, or the truth is not known, or no match around"
+    )
     figure.colorbar(drawn, ax=panels, label="error (pixels)", extend="max", aspect=30, pad=0.01)
     figure.savefig(OUT / "errors.png")
 

@@ -1,10 +1,14 @@
 import dataclasses
+import io
+import pickle
 import sys
+from functools import partial
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import mexpress as mx
@@ -156,18 +160,95 @@ def test_perfect_matches(tmp_path):
     assert is_drawn(tmp_path / "warp.png")
 
 
+def every_plot(selection):
+    """By name, all plots of a selection of warps; each takes a path and axes."""
+    return {
+        "plot": selection.plot,
+        "plot_radii": selection.plot_radii,
+        "plot_error": selection.plot_error,
+        "plot_warp": selection.plot_warp,
+        "plot_registration": partial(selection.plot_registration, GRAY, GRAY),
+    }
+
+
 def test_neither_backend_nor_current_figure_changes(selection):
     backend, figures = mpl.get_backend(), plt.get_fignums()
-    selection.plot()
-    plotting.plot_warp(selection.warp, SOURCE, TARGET)
+    for plot in every_plot(selection).values():
+        plot()._repr_png_()
     assert mpl.get_backend() == backend
     assert plt.get_fignums() == figures
+
+
+def test_no_plot_of_a_selection_is_forgotten(selection):
+    assert set(every_plot(selection)) == {name for name in dir(selection) if name.startswith("plot")}
+
+
+@pytest.mark.parametrize("name", ["plot", "plot_radii", "plot_error", "plot_warp", "plot_registration"])
+def test_plots_go_into_axes_that_are_given(selection, tmp_path, name):
+    plot = every_plot(selection)[name]
+    for layout in ("constrained", None):
+        figure = Figure(layout=layout)
+        left, right = figure.subplots(1, 2)
+        assert plot(tmp_path / "given.png", ax=right) is figure
+        assert (tmp_path / "given.png").exists()
+        assert right.has_data()
+        assert right.get_title(loc="left")
+        assert right.get_title(loc="left") in {axes.get_title(loc="left") for axes in plot().axes}
+        assert not left.has_data()
+    part = Figure().subfigures(1, 2)[1].subplots()
+    assert type(plot(ax=part)) is Figure
+    for wrong in (Figure(), "left", left.figure.subplots(2), Figure().add_subplot(projection="3d")):
+        with pytest.raises(TypeError, match=r"^Invalid ax\. It must be plain axes of matplotlib\."):
+            plot(ax=wrong)
+
+
+def test_a_notebook_shows_figures_by_itself(selection):
+    figure = selection.plot()
+    width, height = (figure.get_size_inches() * figure.dpi).astype(int)
+    assert imread(io.BytesIO(figure._repr_png_())).shape[:2] == (height, width)
+    again = pickle.loads(pickle.dumps(figure))
+    assert type(again) is Figure
+    assert again.axes[0].get_title(loc="left") == figure.axes[0].get_title(loc="left")
 
 
 def test_warped_grid(selection, tmp_path):
     figure = plotting.plot_warp(selection.warp, SOURCE, TARGET, tmp_path / "warp.png")
     assert is_drawn(tmp_path / "warp.png")
     assert "times as long" in figure.axes[1].get_xlabel()
+
+
+def test_displacements_are_colours_and_arrows():
+    shift = np.array([30.0, -40.0])
+    warp = mx.fit_warp(SOURCE, SOURCE + shift, SOURCE[:3], fractional=False)
+    colours, arrows = plotting.plot_warp(warp, SOURCE, SOURCE + shift).axes[0].collections[:2]
+    lengths = np.ma.compressed(colours.get_array())
+    np.testing.assert_allclose(lengths, 50.0)
+    directions = np.column_stack([arrows.U, arrows.V])[~arrows.Umask]
+    assert len(directions) > 20
+    np.testing.assert_allclose(
+        directions / np.hypot(*directions.T)[:, None], np.tile(shift / 50, (len(directions), 1))
+    )
+
+
+def test_of_many_matches_some_have_an_arrow():
+    many = RNG.uniform(0, 1, (700, 2)) * [WIDTH, HEIGHT]
+    target = many + RNG.normal(0, 1, many.shape)
+    axes = plotting.plot_warp(mx.fit_warp(many, target, many[:9]), many, target).axes[1]
+    arrows = next(each for each in axes.collections if hasattr(each, "U"))
+    assert len(arrows.U) == 140
+    assert "at one match in 5" in axes.get_xlabel()
+
+
+@pytest.mark.parametrize(("count", "marker"), [(50, "P"), (200, "o")])
+def test_many_control_points_do_not_hide_the_matches(count, marker):
+    many = RNG.uniform(0, 1, (300, 2)) * [WIDTH, HEIGHT]
+    warp = mx.fit_warp(many, many + 1, many[:count], smoothing=1.0)
+    axes = plotting.plot_warp(warp, many, many + 1).axes[0]
+    (marks,) = (line for line in axes.lines if line.get_label() == f"{count} control points")
+    assert marks.get_marker() == marker
+    shown = labels(plotting.plot_registration(warp, GRAY, GRAY, many, many + 1))
+    assert (f"{count} control points" in shown) == (marker == "P")
+    assert "300 matches" in shown
 
 
 @pytest.mark.slow
@@ -358,7 +439,8 @@ def test_data_that_are_not_in_the_fit_have_other_marks(selection, tmp_path):
     assert {"57 matches", "2 left out", "1 absent"} <= set(labels(figure))
     kept = np.setdiff1d(np.arange(60), [3, 4, 9])
     errors = np.hypot(*(target - selection.warp(SOURCE))[kept].T)
-    assert f"RMS {np.sqrt((errors**2).mean()):.3g} pixels" in figure.axes[1].get_xlabel()
+    assert f"RMS {np.sqrt((errors**2).mean()):.3g} pixels" in figure.axes[1].get_title(loc="left")
+    np.testing.assert_array_equal(np.sort(figure.axes[1].collections[0].get_array()), np.sort(errors))
     marks = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
     np.testing.assert_array_equal(marks["2 left out"], SOURCE[[3, 4]])
     np.testing.assert_array_equal(marks["1 absent"], SOURCE[[9]])

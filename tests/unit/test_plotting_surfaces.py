@@ -7,7 +7,7 @@ from matplotlib.image import imread
 
 import mexpress as mx
 from mexpress import plotting
-from mexpress.plotting import solids
+from mexpress.plotting import solids, surfaces
 
 RNG = np.random.default_rng(3)
 POINTS = RNG.uniform(0, 1, (300, 2)) * [160, 120]
@@ -32,7 +32,7 @@ def is_drawn(path):
 
 
 def colour_bar_labels(figure):
-    return [axes.get_ylabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
+    return [beside.get_ylabel() for axes in figure.axes for beside in axes.child_axes]
 
 
 @pytest.mark.parametrize("more", [{}, IMAGE])
@@ -40,7 +40,12 @@ def test_a_depth_is_drawn_beside_the_data_in_the_same_colours(surface, tmp_path,
     figure = plotting.plot_surface(surface, POINTS, DEPTH, tmp_path / "surface.png", **more)
     assert is_drawn(tmp_path / "surface.png")
     data, fitted = (axes.collections[0] for axes in figure.axes[:2])
-    assert data.get_clim() == fitted.get_clim()
+    grid = surface.grid(step=np.sqrt(np.prod(np.ptp(surface.domain, axis=0)) / 40_000))
+    colours = data.to_rgba(grid.values[grid.inside])[:, :3]
+    lit = np.asarray(fitted.get_facecolor())[grid.inside.ravel(), :3]
+    light = (lit / colours).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(lit, light * colours, atol=1e-3)
+    assert 0.1 < light.min() < 0.8 < light.max() <= 1 + 1e-9
     assert colour_bar_labels(figure) == ["depth (m)" if more else "value (unit of the data)"]
     assert figure.axes[0].yaxis_inverted() == bool(more)
 
@@ -155,7 +160,7 @@ def test_data_without_residuals(tmp_path):
 
 @pytest.mark.parametrize("more", [{}, IMAGE])
 def test_control_points_are_coloured_and_numbered_in_their_order(selection, tmp_path, more):
-    figure = plotting.plot_control_points(selection, tmp_path / "points.png", **more)
+    figure = selection.plot_control_points(tmp_path / "points.png", **more)
     assert is_drawn(tmp_path / "points.png")
     axes = figure.axes[0]
     number = len(selection.control_points)
@@ -169,6 +174,67 @@ def test_control_points_are_coloured_and_numbered_in_their_order(selection, tmp_
     written = {int(text.get_text()) for text in axes.texts}
     assert {1, 2, 3, selection.count, number} <= written
     assert figure.axes[0].yaxis_inverted() == bool(more)
+
+
+def test_control_points_that_are_spread_have_no_order():
+    selection = mx.select_surface(POINTS, DEPTH)
+    assert selection.placement != "residual"
+    axes = selection.plot_control_points().axes[0]
+    assert axes.get_title(loc="left") == f"MATCHED selects {selection.count} control points, spread evenly"
+    assert not axes.texts
+    (marks,) = axes.lines
+    np.testing.assert_array_equal(marks.get_xydata(), selection.surface.control_points)
+
+
+@pytest.mark.parametrize("y_down", [False, True])
+def test_surfaces_are_lit_from_the_upper_left(y_down):
+    x, y = np.arange(9.0), np.arange(7.0)
+    up = -1.0 if y_down else 1.0
+    towards_eye = -1.0 if y_down else 1.0  # heights grow towards the eye, depths away from it
+    faces = {}
+    for name, across, upwards in (("upper left", 1, -1), ("lower right", -1, 1), ("upper right", -1, -1)):
+        heights = across * x[None, :] + upwards * up * y[:, None]
+        light = surfaces._relief(towards_eye * heights, x, y, towards_eye=not y_down)
+        np.testing.assert_allclose(light, light[0, 0])
+        faces[name] = light[0, 0]
+    assert faces["upper left"] > faces["upper right"] > faces["lower right"]
+    np.testing.assert_array_equal(surfaces._relief(np.ones((7, 9)), x, y, True), 1.0)
+
+
+PLOTS = ["plot_surface", "plot_residuals", "plot_control_points"]
+
+
+def test_no_plot_of_a_selection_is_forgotten(selection):
+    assert {*PLOTS, "plot", "plot_radii", "plot_error"} == {
+        name for name in dir(selection) if name[:4] == "plot"
+    }
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_plots_go_into_axes_that_are_given(selection, tmp_path, name):
+    for layout, more in (("constrained", IMAGE), (None, {})):
+        figure = Figure(layout=layout)
+        left, right = figure.subplots(1, 2)
+        drawn = getattr(selection, name)(tmp_path / "given.png", ax=right, **more)
+        assert drawn is figure
+        assert is_drawn(tmp_path / "given.png")
+        assert right.has_data()
+        assert not left.has_data()
+        assert right.yaxis_inverted() == bool(more)
+    with pytest.raises(TypeError, match=r"^Invalid ax\. "):
+        getattr(selection, name)(ax=np.array([left, right]))
+
+
+def test_a_surface_in_space_goes_into_axes_that_are_given(selection, tmp_path):
+    sheet = mx.select_surface(POINTS, SHEET, max_count=9)
+    for each in (selection, sheet):
+        figure = Figure()
+        axes = figure.add_subplot(projection="3d")
+        assert each.plot_surface(tmp_path / "given.png", ax=axes) is figure
+        assert is_drawn(tmp_path / "given.png")
+        assert axes.collections
+    with pytest.raises(TypeError, match=r"^Invalid ax\. It must be 3d axes of matplotlib\."):
+        sheet.plot_surface(ax=Figure().subplots())
 
 
 @pytest.mark.parametrize("values", [DEPTH, SHEET])

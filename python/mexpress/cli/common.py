@@ -22,7 +22,6 @@ from mexpress.io import matches
 from mexpress.io.missing import DROP, KEEP
 from mexpress.io.sources import where
 from mexpress.io.text import STANDARD_INPUT
-from mexpress.plotting.figures import Aside
 from mexpress.selection import Selection
 from mexpress.selection.defaults import AUTO
 from mexpress.selection.fitted import FittedSelection
@@ -332,12 +331,6 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
         warn(f"no plots. {error}")
         return []
     return list(plots)
-
-
-def aside(selection: FittedSelection[Any]) -> Aside:
-    """Return which data are not in the fit; those that are missing are absent, too."""
-    every = np.arange(len(selection.data.points))
-    return Aside(selection.left_out, np.setdiff1d(every, np.union1d(selection.left_out, selection.kept)))
 
 
 def missing_text(n_missing: int) -> str:

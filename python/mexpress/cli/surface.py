@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -189,16 +190,12 @@ def _write_meshes(out: Path, selection: SurfaceSelection, cloud: Cloud) -> list[
 
 
 def _plots(selection: SurfaceSelection, cloud: Cloud, unit: str | None) -> dict[str, Callable[[Path], Any]]:
-    surface, points, values, kept = selection.surface, selection.points, selection.values, selection.kept
-    aside = common.aside(selection)
-    more: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
+    look: dict[str, Any] = {"image_size": cloud.image_size, "unit": unit}
     plots: dict[str, Callable[[Path], Any]] = {
-        "curves.png": lambda path: plotting.plot_selection(selection, path, unit=unit),
-        "surface.png": lambda path: plotting.plot_surface(surface, points[kept], values[kept], path, **more),
-        "residuals.png": lambda path: plotting.plot_residuals(
-            surface, points, values, path, **more, aside=aside
-        ),
-        "control_points.png": lambda path: plotting.plot_control_points(selection, path, **more),
+        "curves.png": partial(plotting.plot_selection, selection, unit=unit),
+        "surface.png": partial(selection.plot_surface, **look),
+        "residuals.png": partial(selection.plot_residuals, **look),
+        "control_points.png": partial(selection.plot_control_points, **look),
     }
     if _dimension(cloud.values) not in {1, 3}:
         del plots["surface.png"]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mexpress import plotting
 from mexpress.cli import common
 from mexpress.io import matches
 from mexpress.io.images import read_image
@@ -135,15 +135,9 @@ def _print(selection: WarpSelection, health: dict[str, Any], n_missing: int) -> 
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:
-    warp, source, target, aside = selection.warp, selection.source, selection.target, common.aside(selection)
-    plots: dict[str, Callable[[Path], Any]] = {
-        "curves.png": lambda path: plotting.plot_selection(selection, path),
-        "warp.png": lambda path: plotting.plot_warp(warp, source, target, path, aside=aside),
-    }
+    plots: dict[str, Callable[[Path], Any]] = {"curves.png": selection.plot, "warp.png": selection.plot_warp}
     if images:
-        plots["registered.png"] = lambda path: plotting.plot_registration(
-            warp, images[0], images[1], source, target, path=path, aside=aside
-        )
+        plots["registered.png"] = partial(selection.plot_registration, images[0], images[1])
     return plots
 
 

@@ -268,7 +268,7 @@ def _draw_surface(axes: Any, subject: Subject, fit: PanelFit, scales: _Scales) -
         _draw_relief(axes, fit.surface, scales.values, 1.0 if subject.image_size is None else -1.0)
         _frame(axes, subject)
         return
-    draw_solid(axes, replace(_solid(subject, fit), labels=("", "", ""), zoom=_ZOOM), scales.view)
+    draw_solid(axes, replace(_solid(subject, fit), labels=("", "", "")), scales.view, _ZOOM)
     axes.set(xticklabels=[], yticklabels=[], zticklabels=[])
 
 

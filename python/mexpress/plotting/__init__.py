@@ -1,6 +1,7 @@
 """Plots: criteria against the number of control points, and what warps and surfaces do to the data.
 
-Figures are made without pyplot: nothing is shown, and neither the backend nor the current figure changes.
+Figures are made without pyplot: neither the backend nor the current figure changes, and nothing is kept. A notebook
+shows a figure that is a cell's last value. `ax=` draws into axes of your own, of pyplot or not.
 
 Examples
 --------

@@ -19,6 +19,8 @@ from mexpress.plotting.figures import (
     RED,
     SKY,
     PathLike,
+    figure_of,
+    given_axes,
     new_figure,
     saved,
     with_unit,
@@ -58,7 +60,11 @@ _LABELS, _GAP = 1.05, 0.047
 
 
 def plot_selection(
-    selection: SelectionLike, path: PathLike | None = None, *, unit: str | None = None
+    selection: SelectionLike,
+    path: PathLike | None = None,
+    *,
+    ax: Axes | None = None,
+    unit: str | None = None,
 ) -> Figure:
     """Plot every criterion against the number of control points, and what each would select.
 
@@ -78,13 +84,16 @@ def plot_selection(
         Result of a sweep, such as `select_warp` or `select_surface`.
     path : str or path, optional
         Where to save the figure; the suffix says how (.png, .pdf, .svg).
+    ax : matplotlib.axes.Axes, optional
+        Where to draw the curves alone, in place of a figure of its own. Their labels are on the right of the axes, and
+        want room there, which ``layout="constrained"`` makes.
     unit : str, optional
         Of the criteria; by default pixels for warps, and for others the unit of the data.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -101,28 +110,35 @@ def plot_selection(
     """
     several = len(selection.weights) > 1
     line = _over_weights(selection) if several and len(selection.counts) <= _FEW else _over_counts(selection)
+    default = "pixels of the target image" if _is_of_warps(selection) else None
+    if ax is not None:
+        _draw_panel(given_axes(ax), selection, line, unit or default)
+        return saved(figure_of(ax), path)
     mapped = several and len(selection.counts) > _FEW
     figure = new_figure(8.6, 8.4 if mapped else 5.0)
     axes, *below = figure.subplots(1 + mapped, 1, squeeze=False, sharex=True)[:, 0]
-    default = "pixels of the target image" if _is_of_warps(selection) else None
-    label = with_unit("criterion", unit or default)
+    _draw_panel(axes, selection, line, unit or default)
+    if mapped:
+        axes.set_xlabel("")
+        _draw_map(below[0], selection, unit or default)
+    return saved(figure, path)
+
+
+def _draw_panel(axes: Axes, selection: SelectionLike, line: _Line, unit: str | None) -> None:
+    """Draw all curves, and say what is selected."""
     _draw_curves(axes, selection, line)
-    axes.set_ylabel(label)
+    axes.set_ylabel(with_unit("criterion", unit))
     k, w = selection.place
     best = f"{selection.counts[k]} control points"
-    best += f" and smoothing {selection.weights[w]:.3g}" if several else ""
+    best += f" and smoothing {selection.weights[w]:.3g}" if len(selection.weights) > 1 else ""
     if selection.rival is not None:
         best = f"the {selection.rival}, not {best}"
     axes.set_title(f"{selection.criterion} selects {best}", loc="left")
+    axes.set_xlabel("number of control points")
     if line.weights:
         draw_weights(axes.xaxis, selection.weights)
         _write_parameters(axes, selection)
         axes.set_xlabel(f"weight of the bending energy, at {selection.counts[k]} control points")
-    if mapped:
-        _draw_map(below[0], selection, unit or default)
-    elif not line.weights:
-        axes.set_xlabel("number of control points")
-    return saved(figure, path)
 
 
 @dataclass(frozen=True)
@@ -154,7 +170,7 @@ def _over_weights(selection: SelectionLike) -> _Line:
     curves = {name: scores[k] for name, scores in selection.maps.items()}
     best = {name: _smallest(curve) for name, curve in curves.items()}
     best[selection.criterion] = selection.place[1]
-    names = [f"{float(f'{weight:.2g}'):g}" for weight in selection.weights]
+    names = [f"{float(f'{weight:.3g}'):g}" for weight in selection.weights]
     return _Line(weight_positions(selection.weights), curves, best, names, True)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from mexpress.plotting.figures import (
     GRAY,
     RED,
     PathLike,
+    colour_bar,
+    figure_of,
     frame,
+    given_axes,
     new_figure,
     percentile,
     saved,
@@ -33,13 +36,14 @@ _QUERIES = 1000
 """Places of the domain whose distances to the nearest datum are shown."""
 
 _FEW = 1000
-"""So many data are dots; more are fainter."""
+"""So many dots are drawn as lines are; more are pixels in files of lines too."""
 
 
 def plot_error(
     model: FittedModel,
     path: PathLike | None = None,
     *,
+    ax: Axes | None = None,
     image_size: tuple[float, float] | None = None,
     unit: str | None = None,
 ) -> Figure:
@@ -54,6 +58,8 @@ def plot_error(
         A model with its data.
     path : str or path, optional
         Where to save the figure; the suffix says how (.png, .pdf, .svg).
+    ax : matplotlib.axes.Axes, optional
+        Where to draw the map alone, in place of a figure of its own.
     image_size : (width, height), optional
         Of a depth map in pixels, if a surface's points are its pixels: y then points down, as it does for warps.
     unit : str, optional
@@ -62,7 +68,7 @@ def plot_error(
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -79,18 +85,18 @@ def plot_error(
     <Figure size ...>
     """
     y_down = check.image_size(image_size) is not None or isinstance(model, Warp)
+    if ax is not None:
+        _draw_map(given_axes(ax), model, y_down, unit)
+        return saved(figure_of(ax), path)
     wide, high = np.ptp(model.domain, axis=0)
     figure = new_figure(12.0, float(np.clip(1.0 + 5.2 * high / wide, 4.0, 9.0)))
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1])
-    colours = _draw_map(left, model)
-    frame(left, model.domain, y_down)
-    left.set_title("error to expect; hatched: not tested", loc="left")
-    figure.colorbar(colours, ax=left, label=with_unit("error", unit), extend="max", aspect=30, pad=0.02)
+    _draw_map(left, model, y_down, unit)
     _draw_curves(right, model, unit)
     return saved(figure, path)
 
 
-def _draw_map(axes: Axes, model: FittedModel) -> Any:
+def _draw_map(axes: Axes, model: FittedModel, y_down: bool, unit: str | None) -> None:
     low, high = model.domain.min(axis=0), model.domain.max(axis=0)
     margin = 0.04 * float((high - low).max())
     low, high = low - margin, high + margin
@@ -105,10 +111,12 @@ def _draw_map(axes: Axes, model: FittedModel) -> Any:
         untested = np.where(covered, 0.0, 1.0).reshape(rows, columns)
         axes.contourf(x, y, untested, [0.5, 1.5], colors=["#ffffff80"], hatches=["///"])
     assert model.data is not None  # or there is no error
-    dots: dict[str, Any] = {"color": RED, "ms": 2.5, "mew": 0}
-    many = len(model.data.points) > _FEW
-    axes.plot(*model.data.points.T, "o", **dots, alpha=0.4 if many else 0.9, rasterized=many)
-    return colours
+    n = len(model.data.points)
+    size = float(np.clip(80 / np.sqrt(n), 0.6, 2.5))  # so that dots never cover more than a part of the map
+    axes.plot(*model.data.points.T, "o", color=RED, ms=size, mew=0, rasterized=n > _FEW)
+    frame(axes, model.domain, y_down)
+    axes.set_title("error to expect; hatched: not tested", loc="left")
+    colour_bar(axes, colours, with_unit("error", unit), "max")
 
 
 def _draw_curves(axes: Axes, model: FittedModel, unit: str | None) -> None:
@@ -128,11 +136,8 @@ def _draw_curves(axes: Axes, model: FittedModel, unit: str | None) -> None:
         axes.plot(knots, curve.errors[: len(knots)], "o", color=colour, ms=3)
     axes.set(xlim=(0, far), xlabel="distance to the nearest datum", ylabel=with_unit("error", unit))
     axes.set_ylim(bottom=0)
-    places = np.percentile(reach, (50, 95))
-    for place in places:
-        axes.axvline(place, color=GRAY, lw=0.8, ls="--")
-    above = axes.secondary_xaxis("top")
-    above.set_xticks(places, ["50 %", "95 %"])
-    above.set_xlabel("of the domain is nearer to a datum")
+    for share, style in ((50, ":"), (95, "--")):
+        label = f"{share} % of the domain is nearer"
+        axes.axvline(np.percentile(reach, share), color=GRAY, lw=1, ls=style, label=label)
     axes.grid(alpha=0.25, lw=0.6)
     axes.legend(loc="upper left", frameon=False)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +16,7 @@ from mexpress._validation import Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, told apart by the colour-blind too.
@@ -23,14 +26,75 @@ ORANGE, RED, GRAY = "#E69F00", "#D55E00", "#777777"
 PathLike = str | os.PathLike[str]
 
 
+FEW = 60
+"""So many control points stand out; more would hide the data."""
+
+
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure; sizes in inches."""
+    """Return an empty figure that a notebook shows without pyplot; sizes in inches."""
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415  an extra, imported where used
     except ImportError as error:
         message = "Plots need matplotlib: pip install 'mexpress[plot]'"
         raise ImportError(message) from error
-    return Figure(figsize=(width, height), dpi=110, layout="constrained")
+    return _class_of_figures(Figure)(figsize=(width, height), dpi=110, layout="constrained")
+
+
+@cache
+def _class_of_figures(plain: type[Figure]) -> type[Figure]:
+    def savefig(figure: Figure, *arguments: Any, **options: Any) -> None:
+        figure.draw_without_rendering()  # the layout finds room for all labels at the second drawing only
+        plain.savefig(figure, *arguments, **options)
+
+    def png(figure: Figure) -> bytes:
+        file = io.BytesIO()
+        figure.savefig(file, format="png")
+        return file.getvalue()
+
+    def reduced(figure: Figure) -> tuple[Any, ...]:  # no pickle finds a class that was made here
+        return plain.__new__, (plain,), figure.__getstate__()
+
+    return type("Figure", (plain,), {"savefig": savefig, "_repr_png_": png, "__reduce__": reduced})
+
+
+def figure_of(axes: Axes) -> Figure:
+    """Return the figure that axes are in, if need be in a part of it."""
+    figure: Figure = axes.figure.canvas.figure
+    return figure
+
+
+def given_axes(ax: Any, kinds: tuple[str, ...] = ("rectilinear",)) -> Axes:
+    """Return a caller's axes, if they are of a kind that can be drawn into."""
+    if getattr(ax, "name", None) not in kinds or not hasattr(ax, "transData"):
+        several = " or ".join("3d" if kind == "3d" else "plain" for kind in kinds)
+        check.refuse("ax", f"It must be {several} axes of matplotlib.", check.describe(ax), TypeError)
+    axes: Axes = ax
+    return axes
+
+
+def colour_bar(axes: Axes, colours: ScalarMappable, label: str, extend: str) -> None:
+    """Draw a colour bar beside axes, as tall as they are; in their place if no layout makes room beside them."""
+    figure = figure_of(axes)
+    room: dict[str, Any] = {"ax": axes}
+    if figure.get_layout_engine() is not None:
+        room = {"cax": axes.inset_axes((1.02, 0, 0.025, 1))}
+    figure.colorbar(colours, label=label, extend=extend, **room)
+
+
+def legend_below(figure: Figure) -> None:
+    """Write one legend for all panels below them, each label once."""
+    entries = (axes.get_legend_handles_labels() for axes in figure.axes)
+    handles = {label: handle for entry in entries for handle, label in zip(*entry, strict=True)}
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False)
+
+
+def mark_control_points(axes: Axes, points: Floats, colour: str) -> None:
+    """Mark control points: crosses that stand out if they are few, small dots on top of the data if they are many."""
+    look: dict[str, Any] = {"marker": "P", "ms": 7, "mec": "white", "mew": 0.8}
+    if len(points) > FEW:
+        look = {"marker": "o", "ms": 2.4, "mew": 0}
+    axes.plot(*points.T, ls="none", color=colour, zorder=4, label=f"{len(points)} control points", **look)
 
 
 def saved(figure: Figure, path: PathLike | None) -> Figure:

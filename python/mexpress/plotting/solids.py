@@ -25,6 +25,12 @@ _DOTS = 2000
 _DOT, _LIFT = 0.0035, 0.012
 """Half the side of a dot, and how far it is before its place, as fractions of the box."""
 
+_LABELS = np.array([1.1, 0.8])
+"""Inches beside the box, and above and below it, for what is written there."""
+
+_BOX = 1.06
+"""Diagonal of the box as matplotlib draws it, as a fraction of the smaller side of its axes."""
+
 _UPRIGHT = [0, 2, 1]
 """The order of an image's axes in the box: x to the right, depth away from the eye, y upright."""
 
@@ -52,8 +58,6 @@ class Solid:
         Of the axes.
     views : sequence of View
         From where to look, the best one first.
-    zoom : float
-        Size of the box in its axes; labels need room.
     """
 
     vertices: Floats
@@ -65,7 +69,6 @@ class Solid:
     aspect: Floats
     labels: tuple[str, str, str]
     views: tuple[View, ...]
-    zoom: float = 0.82
 
     @classmethod
     def of_depths(
@@ -111,7 +114,7 @@ class Solid:
         size = np.abs(high - low)
         aspect = np.maximum(size / size.max(), 0.05)
         labels = (names[0], names[1], names[2])
-        return cls(vertices, triangles, np.zeros(0), dots, low, high, aspect, labels, views, 1.0)
+        return cls(vertices, triangles, np.zeros(0), dots, low, high, aspect, labels, views)
 
 
 def _sampled(surface: Surface) -> tuple[Floats, Integers]:
@@ -151,8 +154,8 @@ def _normals(corners: Floats) -> Floats:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def draw_solid(axes: Axes3D, solid: Solid, view: View) -> None:
-    """Draw a surface and data as an eye sees them."""
+def draw_solid(axes: Axes3D, solid: Solid, view: View, zoom: float | None = None) -> None:
+    """Draw a surface and data as an eye sees them; by default the box fills the axes, but for its labels."""
     from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]  # noqa: PLC0415  an extra
         Poly3DCollection,
     )
@@ -164,17 +167,27 @@ def draw_solid(axes: Axes3D, solid: Solid, view: View) -> None:
     colours = np.vstack([faces, np.tile([0.1, 0.1, 0.1, 1.0], (len(squares), 1))])
     # All with four corners: to find its limits, matplotlib reads uninitialised memory where some have fewer.
     polygons = np.concatenate([corners[:, [0, 1, 2, 2]], squares])
-    axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.4))
+    look = {"facecolors": colours, "edgecolors": colours, "linewidths": 0.4}
+    axes.add_collection3d(Poly3DCollection(polygons, **look, clip_on=False))
     axes.set(
         xlim=(solid.low[0], solid.high[0]),
         ylim=(solid.low[1], solid.high[1]),
         zlim=(solid.low[2], solid.high[2]),
     )
     axes.set(xlabel=solid.labels[0], ylabel=solid.labels[1], zlabel=solid.labels[2])
-    axes.set_box_aspect(solid.aspect, zoom=solid.zoom)
+    axes.set_box_aspect(solid.aspect, zoom=_filling(axes, solid, view) if zoom is None else zoom)
     axes.view_init(*view)
     axes.locator_params(nbins=5)
     axes.tick_params(labelsize=8)
+
+
+def _filling(axes: Axes3D, solid: Solid, view: View) -> float:
+    """Return how much larger than by matplotlib's habit the box must be to fill its axes, but for the labels."""
+    _, right, up = _eye(view)
+    room = axes.bbox.size - _LABELS * axes.figure.dpi
+    sides = _BOX * solid.aspect / np.linalg.norm(solid.aspect)
+    size = np.array([np.abs(right) @ sides, np.abs(up) @ sides]) * min(axes.bbox.size)
+    return float(max((room / size).min(), 0.5))
 
 
 def _colours(solid: Solid) -> NDArray[np.float64]:

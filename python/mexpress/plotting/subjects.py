@@ -83,3 +83,7 @@ class SurfaceSelectionLike(SelectionLike, Protocol):
     @property
     def control_points(self) -> Floats:
         """All control points, (l, 2), of which a surface with k has the first k."""
+
+    @property
+    def placement(self) -> str:
+        """How the control points were placed; "residual" is where the surface so far was wrong."""

@@ -17,8 +17,13 @@ from mexpress.plotting.figures import (
     RED,
     Aside,
     PathLike,
+    colour_bar,
+    figure_of,
     frame,
+    given_axes,
     known_rows,
+    legend_below,
+    mark_control_points,
     new_figure,
     percentile,
     saved,
@@ -47,6 +52,9 @@ _FEW, _CELLS = 2000, 600
 _SAMPLES = 40_000
 """Samples of a surface that is shown as an image."""
 
+_LIGHT, _DARKEST, _SLOPE = np.array([-0.5, 0.5, 0.7071]), 0.35, 0.7
+"""Towards the light, how light a surface is that it only touches, and the slope of what is steep."""
+
 ImageSize = tuple[float, float] | None
 
 
@@ -56,14 +64,15 @@ def plot_surface(
     values: ArrayLike,
     path: PathLike | None = None,
     *,
+    ax: Axes | None = None,
     image_size: ImageSize = None,
     unit: str | None = None,
 ) -> Figure:
     """Plot a surface together with the data.
 
-    Of depths: the data and the surface as maps of the same colours, and the surface in space, shaded, with
-    data as dots. Of points in space: the shaded surface with the data from two sides. Data on the far side of
-    the surface are hidden by it; if there are many, some are shown.
+    Of depths: the data and the surface as maps of the same colours, the latter lit from the upper left, and the
+    surface in space, shaded, with data as dots. Of points in space: the shaded surface with the data from two sides.
+    Data on the far side of the surface are hidden by it; if there are many, some are shown.
 
     Parameters
     ----------
@@ -75,6 +84,9 @@ def plot_surface(
         The data. Rows in which something is NaN, of data that were missing, are not drawn.
     path : str or path, optional
         Where to save the figure.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw one panel alone, in place of a figure of its own: the surface in space in axes made with
+        ``projection="3d"``, a depth's map in others.
     image_size : (width, height), optional
         Of the depth map in pixels, if the points are its pixels: y then points down, and the view is the
         camera's, from a little aside. Otherwise a depth is shown as a height over the plane.
@@ -84,7 +96,7 @@ def plot_surface(
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -105,38 +117,79 @@ def plot_surface(
     if measured.ndim == 2 and measured.shape[1] != 3:
         rule = "It must have one value, a depth, or three, a point in space, to be drawn."
         check.refuse("surface", rule, f"{measured.shape[1]} values")
-    size = check.image_size(image_size)
-    if measured.ndim == 1:
-        return saved(_depth_figure(surface, where, measured, size, unit), path)
-    solid = Solid.of_points(surface, measured, in_camera=size is not None, unit=unit)
+    size, flat = check.image_size(image_size), measured.ndim == 1
+    axes = None if ax is None else given_axes(ax, ("3d", "rectilinear") if flat else ("3d",))
+    if axes is not None and axes.name != "3d":
+        colours = _draw_surface(axes, surface, measured, size)
+        colour_bar(axes, colours, _quantity(size, unit), "both")
+        _set_frame(axes, where, size)
+        return saved(figure_of(axes), path)
+    if flat:
+        solid = Solid.of_depths(surface, where, measured, image_size=size, unit=unit)
+    else:
+        solid = Solid.of_points(surface, measured, in_camera=size is not None, unit=unit)
+    if axes is not None:
+        draw_solid(axes, solid, solid.views[0])
+        return saved(figure_of(axes), path)
+    if flat:
+        return saved(_depth_figure(surface, where, measured, size, unit, solid), path)
     figure = new_figure(12.0, 5.6)
-    for k, view in enumerate(solid.views):
-        axes = figure.add_subplot(1, 2, k + 1, projection="3d")
-        draw_solid(axes, solid, view)
+    figure.set_layout_engine("none")
+    for left, view in zip((0.0, 0.5), solid.views, strict=True):
+        draw_solid(figure.add_axes((left, 0.03, 0.47, 0.91), projection="3d"), solid, view)
     figure.suptitle(f"{_title(surface)}, with the data, from two sides")
     return saved(figure, path)
 
 
 def _depth_figure(
-    surface: Surface, points: Floats, depths: Floats, size: ImageSize, unit: str | None
+    surface: Surface, points: Floats, depths: Floats, size: ImageSize, unit: str | None, solid: Solid
 ) -> Figure:
+    """Draw the data, the surface and the solid in a row."""
     wide, high = _shape(points, size)
-    figure = new_figure(12.5, float(np.clip(9.6 * high / wide + 0.8, 5.0, 9.5)))
-    cells = figure.add_gridspec(2, 2, width_ratios=(1, 1.6))
-    maps = [figure.add_subplot(cells[k, 0]) for k in (0, 1)]
-    limits: dict[str, Any] = {"vmin": percentile(depths, 1), "vmax": percentile(depths, 99)}
-    _draw_data(maps[0], surface, points, depths, **limits)
-    grid = surface.grid(step=float(np.sqrt(wide * high / _SAMPLES)))
-    known = np.ma.masked_invalid(grid.values.reshape(len(grid.y), len(grid.x)))
-    shown = maps[1].pcolormesh(grid.x, grid.y, known, shading="nearest", **limits)
-    for axes, title in zip(maps, (f"{len(points)} data", _title(surface)), strict=True):
+    figure = new_figure(15.0, float(np.clip(4.0 * high / wide + 0.8, 3.4, 8.0)))
+    maps, space = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.8, 1))[0]
+    left, middle = maps.subplots(1, 2)
+    colours = _draw_surface(middle, surface, depths, size)
+    _draw_data(left, surface, points, depths, norm=colours.norm)
+    colour_bar(middle, colours, _quantity(size, unit), "both")
+    for axes, title in ((left, f"{len(points)} data"), (middle, _title(surface))):
         _set_frame(axes, points, size)
         axes.set_title(title, loc="left")
-    solid = Solid.of_depths(surface, points, depths, image_size=size, unit=unit)
-    draw_solid(figure.add_subplot(cells[:, 1], projection="3d"), solid, solid.views[0])
-    label = with_unit("value" if size is None else "depth", unit)
-    figure.colorbar(shown, ax=maps, label=label, extend="both", location="left", aspect=40, shrink=0.7)
+    middle.set(ylabel="", yticklabels=[])
+    draw_solid(space.add_axes((0.0, 0.04, 0.94, 0.96), projection="3d"), solid, solid.views[0])
     return figure
+
+
+def _quantity(size: ImageSize, unit: str | None) -> str:
+    return with_unit("value" if size is None else "depth", unit)
+
+
+def _draw_surface(axes: Axes, surface: Surface, depths: Floats, size: ImageSize) -> ScalarMappable:
+    """Draw a depth as an image of its colours, lit from the upper left; return the colours of the depths."""
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415  an extra, imported where used
+    from matplotlib.colors import Normalize  # noqa: PLC0415  an extra, imported where used
+
+    colours = ScalarMappable(Normalize(percentile(depths, 1), percentile(depths, 99)), "viridis")
+    wide, high = np.ptp(surface.domain, axis=0)
+    grid = surface.grid(step=float(np.sqrt(wide * high / _SAMPLES)))
+    shown = grid.values.reshape(len(grid.y), len(grid.x))
+    light = _relief(shown, grid.x, grid.y, towards_eye=size is None)
+    pixels = colours.to_rgba(np.ma.masked_invalid(shown))
+    pixels[..., :3] *= light[..., None]
+    axes.pcolormesh(grid.x, grid.y, pixels, shading="nearest", rasterized=True)
+    return colours
+
+
+def _relief(values: Floats, x: Floats, y: Floats, towards_eye: bool) -> Floats:
+    """Return how light a surface is, from 0 to 1; exaggerated until what is steep is seen."""
+    down, right = np.gradient(values, y, x)
+    steep = (percentile(np.hypot(right, down), 95) or 1.0) / _SLOPE
+    # Heights grow towards the eye, and y points up; depths grow away from it, and y points down.
+    across, upwards = (right, down) if towards_eye else (-right, down)
+    slopes = np.stack([-across / steep, -upwards / steep, np.ones_like(values)])
+    lit = np.tensordot(_LIGHT, slopes / np.linalg.norm(slopes, axis=0), axes=1)
+    light = np.clip(_DARKEST + (1 - _DARKEST) * lit / _LIGHT[2], _DARKEST / 2, 1.0)
+    return np.asarray(np.nan_to_num(light, nan=1.0))
 
 
 def plot_residuals(
@@ -145,6 +198,7 @@ def plot_residuals(
     values: ArrayLike,
     path: PathLike | None = None,
     *,
+    ax: Axes | None = None,
     image_size: ImageSize = None,
     unit: str | None = None,
     aside: Aside | None = None,
@@ -164,6 +218,8 @@ def plot_residuals(
         The data. Rows in which something is NaN, of data that were missing, are not drawn.
     path : str or path, optional
         Where to save the figure.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw, in place of a figure of its own.
     image_size : (width, height), optional
         Of the depth map in pixels, if the points are its pixels: y then points down.
     unit : str, optional
@@ -174,7 +230,7 @@ def plot_residuals(
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -197,7 +253,7 @@ def plot_residuals(
     residuals = measured[kept] - surface(where).reshape(measured[kept].shape)
     sizes = np.abs(residuals) if residuals.ndim == 1 else np.linalg.norm(residuals, axis=1)
     limit = percentile(sizes, 98) or 1.0
-    figure, axes = _map_figure(where, size)
+    axes = _map_axes(where, size) if ax is None else given_axes(ax)
     if residuals.ndim == 1:
         look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
         name, colours, extend = "data minus surface", residuals, "both"
@@ -205,30 +261,29 @@ def plot_residuals(
         look = {"cmap": "viridis", "vmin": 0, "vmax": limit}
         name, colours, extend = "distance of the data from the surface", sizes, "max"
     dots = _draw_data(axes, surface, where, colours, **look)
-    axes.plot(*surface.control_points.T, "+", color="black", ms=6, mew=0.9, label="control points")
+    mark_control_points(axes, surface.control_points, "black")
     aside.draw(axes, every)
     _set_frame(axes, where, size, residuals.ndim == 1)
-    figure.colorbar(
-        dots, ax=axes, label=with_unit(name, unit), extend=extend, aspect=30, shrink=0.85, pad=0.02
-    )
+    colour_bar(axes, dots, with_unit(name, unit), extend)
     rms, median = float(np.sqrt((sizes**2).mean())), float(np.median(sizes))
     figures = f"RMS {rms:.3g}, median {median:.3g}" + (f" {unit}" if unit else "")
     axes.set_title(f"residuals of the {_title(surface)}: {figures}", loc="left")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    return saved(figure, path)
+    return _finished(axes, ax is None, path)
 
 
 def plot_control_points(
     selection: SurfaceSelectionLike,
     path: PathLike | None = None,
     *,
+    ax: Axes | None = None,
     image_size: ImageSize = None,
     unit: str | None = None,
 ) -> Figure:
     """Plot the control points over the data, numbered in the order in which they came.
 
     As in the paper's figure 7 the last ten are red and those before them blue. Filled are those of the selected
-    surface. Behind them are the data, in gray.
+    surface. Behind them are the data, in gray. Only placement by residual puts control points where the surface is
+    wrong: of another placement the order tells nothing, and they are plain marks.
 
     Parameters
     ----------
@@ -236,6 +291,8 @@ def plot_control_points(
         Result of `select_surface`.
     path : str or path, optional
         Where to save the figure.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw, in place of a figure of its own.
     image_size : (width, height), optional
         Of the depth map in pixels, if the points are its pixels: y then points down.
     unit : str, optional
@@ -244,7 +301,7 @@ def plot_control_points(
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -260,21 +317,34 @@ def plot_control_points(
     """
     (where, values), _ = known_rows(None, points=selection.points, values=selection.values)
     size = check.image_size(image_size)
-    figure, axes = _map_figure(where, size)
+    axes = _map_axes(where, size) if ax is None else given_axes(ax)
     if values.ndim == 1:
         # No shade is so dark that marks and numbers are not seen on it.
         look = {"vmin": percentile(values, 1), "vmax": percentile(values, 99)}
         dots = _draw_data(axes, selection.surface, where, values, cmap=_shades(), **look)
-        label = with_unit("value" if size is None else "depth", unit)
-        figure.colorbar(dots, ax=axes, label=label, extend="both", aspect=30, shrink=0.85, pad=0.02)
+        colour_bar(axes, dots, _quantity(size, unit), "both")
     else:
         axes.plot(*where.T, "s", color="0.7", ms=3, label="data")
-    _mark_control_points(axes, selection.control_points, selection.count)
+    number, count = len(selection.control_points), selection.count
+    if selection.placement == "residual":
+        _mark_in_order(axes, selection.control_points, count)
+        chosen = f"{selection.criterion} selects {'all' if count == number else f'the first {count}'}"
+        title = f"{number} control points in the order in which they came; {chosen}"
+    else:
+        mark_control_points(axes, selection.surface.control_points, BLUE)
+        title = f"{selection.criterion} selects {count} control points, spread evenly"
     _set_frame(axes, where, size, values.ndim == 1)
-    number = len(selection.control_points)
-    chosen = f"{selection.criterion} selects the first {selection.count}"
-    axes.set_title(f"{number} control points in the order in which they came; {chosen}", loc="left")
-    figure.legend(loc="outside lower center", frameon=False, ncols=4)
+    axes.set_title(title, loc="left")
+    return _finished(axes, ax is None, path)
+
+
+def _finished(axes: Axes, own: bool, path: PathLike | None) -> Figure:
+    """Add the legend, below a figure of our own or inside a caller's axes, and save the figure."""
+    figure = figure_of(axes)
+    if own:
+        legend_below(figure)
+    else:
+        axes.legend()
     return saved(figure, path)
 
 
@@ -284,7 +354,7 @@ def _shades() -> Any:
     return LinearSegmentedColormap.from_list("shades", ["0.4", "1.0"])
 
 
-def _mark_control_points(axes: Axes, control_points: Floats, count: int) -> None:
+def _mark_in_order(axes: Axes, control_points: Floats, count: int) -> None:
     number = len(control_points)
     ranks = np.arange(1, number + 1)
     before = max(number - _LAST, min(number, 3))
@@ -345,11 +415,10 @@ def _shape(points: Floats, size: ImageSize) -> tuple[float, float]:
     return float(wide), float(high)
 
 
-def _map_figure(points: Floats, size: ImageSize) -> tuple[Figure, Axes]:
+def _map_axes(points: Floats, size: ImageSize) -> Axes:
     wide, high = _shape(points, size)
     scale = min(_WIDTH / wide, _WIDTH / high)
-    figure = new_figure(max(scale * wide + 1.9, 7.0), max(scale * high + 1.5, 3.4))
-    return figure, figure.subplots()
+    return new_figure(max(scale * wide + 1.9, 7.0), max(scale * high + 1.5, 3.4)).subplots()
 
 
 def _draw_data(axes: Axes, surface: Surface, points: Floats, colours: Floats, **look: Any) -> ScalarMappable:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,14 +13,21 @@ from mexpress.geometry import diagonal
 from mexpress.plotting import rasters
 from mexpress.plotting.figures import (
     BLUE,
+    FEW,
     ORANGE,
     RED,
     YELLOW,
     Aside,
     PathLike,
+    colour_bar,
+    figure_of,
     frame,
+    given_axes,
     known_rows,
+    legend_below,
+    mark_control_points,
     new_figure,
+    percentile,
     saved,
 )
 
@@ -30,8 +37,14 @@ if TYPE_CHECKING:
 
     from mexpress.models.warp import Warp
 
-_GRID, _CELLS = 16, 200
-"""Lines of a warped grid, and samples of where a warp fails, along the longer side."""
+_GRID, _CELLS, _FINE = 16, 200, 400
+"""Lines of a warped grid, and samples of where a warp fails and of displacements, along the longer side."""
+
+_ARROWS = 150
+"""Arrows of errors; of more matches some have one."""
+
+_FADED = 0.45
+"""How dark an image is behind marks."""
 
 
 def plot_warp(
@@ -40,26 +53,32 @@ def plot_warp(
     target: ArrayLike,
     path: PathLike | None = None,
     *,
+    ax: Axes | None = None,
     aside: Aside | None = None,
 ) -> Figure:
-    """Plot how a warp bends a square grid, and its errors at matches as arrows.
+    """Plot how far a warp moves points, how it bends a square grid, and its errors at matches.
+
+    Two panels. In the source image colours say how far points move, and arrows where to. In the target image is the
+    warped grid, and the colour of a match is its error; arrows lead from where the warp puts a source point towards
+    its target point, magnified. Of more than 150 matches every second, third, ... has an arrow.
 
     Parameters
     ----------
     warp : Warp
         From the source image to the target image.
     source, target : array_like, (n, 2)
-        Matches. Arrows lead from where the warp puts a source point towards its target point, magnified. Rows of NaN
-        are matches that were missing, and are not drawn.
+        Matches. Rows of NaN are matches that were missing, and are not drawn.
     path : str or path, optional
         Where to save the figure.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw the panel of the target image alone, in place of a figure of its own.
     aside : Aside, optional
         Matches that are not in the fit: they have other marks, and no arrows.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -76,26 +95,76 @@ def plot_warp(
     every, target, aside = _known(source, target, aside)
     kept = aside.kept(len(every))
     source, target = every[kept], target[kept]
-    predicted, lines = warp(source), _grid_lines(warp)
+    if ax is not None:
+        _draw_target(given_axes(ax), warp, source, target)
+        return saved(figure_of(ax), path)
     wide, high = np.ptp(source, axis=0)
-    figure = new_figure(12.0, float(np.clip(5.6 * high / (wide or np.inf) + 1.1, 3.0, 10.0)))
+    figure = new_figure(13.5, float(np.clip(5.6 * high / (wide or np.inf) + 1.5, 3.4, 10.0)))
     left, right = figure.subplots(1, 2)
-    for axes, curves, points in ((left, lines, source), (right, [warp(line) for line in lines], target)):
-        for curve in curves:
-            axes.plot(*curve.T, color="#999999", lw=0.8, zorder=1)
-        frame(axes, points)
-    left.plot(*source.T, ".", color=BLUE, ms=3, label=f"{len(source)} matches")
-    left.plot(*warp.control_points.T, "P", color=RED, ms=8, mec="white", label=_control_points(warp))
+    _draw_displacements(left, warp, source)
+    mark_control_points(left, warp.control_points, RED)
     aside.draw(left, every)
-    left.set_title("source image", loc="left")
-    figure.legend(loc="outside lower left", ncols=4, frameon=False)
-    factor = _draw_errors(right, predicted, target)
-    squared = ((target - predicted) ** 2).sum(axis=1)
-    rms = float(np.sqrt(np.where(np.isnan(squared), np.inf, squared).mean()))  # NaN is beyond the horizon
-    right.set_title("target image, with the warped grid", loc="left")
-    size = "in their true length" if factor == 1 else f"{factor:g} times as long"
-    right.set_xlabel(f"arrows: errors at the matches, {size}; RMS {rms:.3g} pixels")
+    _draw_target(right, warp, source, target)
+    legend_below(figure)
     return saved(figure, path)
+
+
+def _draw_displacements(axes: Axes, warp: Warp, source: Floats) -> None:
+    """Draw how far points of the source image move as colours, and where to as a few arrows."""
+    extent = float(np.ptp(warp.domain, axis=0).max())
+    x, y, moves = _moves(warp, extent / _FINE)
+    lengths = np.hypot(*np.moveaxis(moves, -1, 0))
+    limits: dict[str, Any] = {"vmin": percentile(lengths, 1), "vmax": percentile(lengths, 99)}
+    colours = axes.pcolormesh(x, y, lengths, cmap="viridis", rasterized=True, zorder=0, **limits)
+    colour_bar(axes, colours, "displacement (pixels)", "both")
+    step = extent / _GRID
+    x, y, moves = _moves(warp, step)
+    usual = percentile(np.hypot(*np.moveaxis(moves, -1, 0)), 95)
+    look: dict[str, Any] = {"color": "white", "edgecolor": "black", "linewidth": 0.4, "width": 0.0035}
+    if usual > 1e-9 * step:
+        along = np.moveaxis(moves * step / usual, -1, 0)
+        axes.quiver(x, y, *along, angles="xy", scale_units="xy", scale=1.1, pivot="mid", **look, zorder=2)
+    axes.plot(*source.T, "o", color="black", ms=1.8, mew=0, zorder=3)
+    frame(axes, np.vstack([source, warp.domain]))
+    axes.set_title("source image: displacement, colours and arrows", loc="left")
+
+
+def _moves(warp: Warp, step: float) -> tuple[Floats, Floats, Floats]:
+    """Return places along x and y of the domain, and displacements there, (y, x, 2); NaN outside the domain."""
+    low, size = warp.domain.min(axis=0), np.ptp(warp.domain, axis=0)
+    x, y = (low[k] + step * (np.arange(max(2, round(size[k] / step))) + 0.5) for k in (0, 1))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    moved = warp(points.reshape(-1, 2), outside="nan").reshape(points.shape)
+    return x, y, moved - points
+
+
+def _draw_target(axes: Axes, warp: Warp, source: Floats, target: Floats) -> None:
+    """Draw the warped grid, and errors at matches as colours and as arrows."""
+    for line in _grid_lines(warp):
+        axes.plot(*warp(line).T, color="#999999", lw=0.8, zorder=1)
+    predicted = warp(source)
+    errors = np.hypot(*(target - predicted).T)
+    _draw_sizes(axes, target, errors, 9)
+    factor, every = _draw_errors(axes, predicted, target)
+    rms = float(np.sqrt(np.where(np.isnan(errors), np.inf, errors**2).mean()))  # NaN is beyond the horizon
+    frame(axes, target)
+    axes.set_title(f"target image: warped grid, and errors; RMS {rms:.3g} pixels", loc="left")
+    size = "in their true length" if factor == 1 else f"{factor:g} times as long"
+    axes.set_xlabel(f"arrows: errors{_at_some(every)}, {size}")
+
+
+def _at_some(every: int) -> str:
+    return "" if every == 1 else f" at one match in {every}"
+
+
+def _draw_sizes(axes: Axes, places: Floats, errors: Floats, size: float) -> None:
+    """Draw matches in the colours of their errors, large errors on top."""
+    order = np.argsort(np.nan_to_num(errors, nan=np.inf), kind="stable")
+    places, errors = places[order], errors[order]
+    look: dict[str, Any] = {"cmap": "plasma_r", "vmin": 0, "vmax": percentile(errors, 98) or 1.0}
+    look |= {"s": size, "edgecolors": "black", "linewidths": 0.2, "zorder": 3}
+    dots = axes.scatter(places[:, 0], places[:, 1], c=errors, label=f"{len(places)} matches", **look)
+    colour_bar(axes, dots, "error (pixels)", "max")
 
 
 def plot_registration(
@@ -106,14 +175,15 @@ def plot_registration(
     target: ArrayLike | None = None,
     *,
     path: PathLike | None = None,
+    ax: Axes | None = None,
     aside: Aside | None = None,
 ) -> Figure:
     """Plot how well a warp registers two images, in the frame of the source image.
 
-    Three panels: the source image with matches and control points; the target image pulled into its frame;
+    Three panels: the source image, faded behind the matches; the target image pulled into its frame;
     both laid over each other, source in magenta and target in green, so that what is registered is gray.
     Where the warp folds or vanishes is painted over; a dashed line encloses the matches, outside of which the
-    warp extrapolates.
+    warp extrapolates. Control points are shown if they are few.
 
     Parameters
     ----------
@@ -126,13 +196,15 @@ def plot_registration(
         Matches; the colours of their marks then tell the error at each. Rows of NaN are not drawn.
     path : str or path, optional
         Where to save the figure.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw the last panel alone, in place of a figure of its own.
     aside : Aside, optional
         Matches that are not in the fit, which have other marks.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Not shown.
+        That of `ax`, or a new one, which notebooks show.
 
     Raises
     ------
@@ -156,39 +228,50 @@ def plot_registration(
     pulled = rasters.sampled(second, (mapped - (target_step - 1) / 2) / target_step).reshape(
         first.shape[:2] + second.shape[2:]
     )
-    figure = new_figure(15.0, min(4.3 * first.shape[0] / first.shape[1] + 1.0, 15.0))
-    panels = figure.subplots(1, 3, sharey=True)
-    shown = (rasters.gray_behind(first), rasters.gray_behind(pulled), rasters.blended(first, pulled))
-    names = ("source", "target, pulled into the source's frame", "source magenta, target green")
+    overlay = rasters.blended(first, pulled)
     extent = rasters.extent(first, step)
-    for axes, image, name in zip(panels, shown, names, strict=True):
-        axes.imshow(image, extent=extent, interpolation="nearest", vmin=0, vmax=1, cmap="gray")
-        axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", color=YELLOW, lw=1.2)
-        axes.set_title(name, loc="left")
-        axes.set(xlim=extent[:2], ylim=extent[2:])
-    _draw_matches(panels[0], warp, source, target, aside)
+    if ax is not None:
+        _draw_image(given_axes(ax), warp, overlay, extent, _OVERLAY)
+        _paint_failures(ax, warp, extent)
+        return saved(figure_of(ax), path)
+    figure = new_figure(16.0, min(4.9 * first.shape[0] / first.shape[1] + 1.1, 15.0))
+    panels = figure.subplots(1, 3, sharey=True)
+    matched = source is not None and target is not None
+    behind = 1 - _FADED * (1 - (first if first.ndim == 2 else first.mean(axis=2))) if matched else first
+    names = (
+        "source, and errors at the matches" if matched else "source",
+        "target, pulled into the source's frame",
+    )
+    for axes, image, name in zip(
+        panels, (behind, rasters.gray_behind(pulled), overlay), (*names, _OVERLAY), strict=True
+    ):
+        _draw_image(axes, warp, image, extent, name)
+    if source is not None and target is not None:
+        _draw_matches(panels[0], warp, source, target, aside)
+    if len(warp.control_points) <= FEW:
+        mark_control_points(panels[0], warp.control_points, RED)
     for axes in panels[1:]:
         _paint_failures(axes, warp, extent)
-    _legend_below(figure)
+    legend_below(figure)
     return saved(figure, path)
 
 
-def _draw_matches(
-    axes: Axes, warp: Warp, source: ArrayLike | None, target: ArrayLike | None, aside: Aside | None
-) -> None:
-    if source is not None and target is not None:
-        every, target, aside = _known(source, target, aside)
-        aside.draw(axes, every)
-        kept = aside.kept(len(every))
-        source, target = every[kept], target[kept]
-        errors = np.hypot(*(target - warp(source)).T)
-        known = errors[np.isfinite(errors)]
-        top = float(np.percentile(known, 98)) if known.size else 0.0
-        dots = axes.scatter(source[:, 0], source[:, 1], c=errors, s=7, cmap="viridis", vmin=0, vmax=top or 1)
-        # An inset is as tall as the image, which a colour bar with axes of its own is not.
-        beside = axes.inset_axes((1.015, 0, 0.025, 1))
-        axes.figure.colorbar(dots, cax=beside, label="error (pixels)", extend="max")
-    axes.plot(*warp.control_points.T, "P", color=RED, ms=6, mec="white", mew=0.7, label=_control_points(warp))
+_OVERLAY = "source magenta, target green"
+
+
+def _draw_image(axes: Axes, warp: Warp, image: Floats, extent: rasters.Extent, name: str) -> None:
+    axes.imshow(image, extent=extent, interpolation="nearest", vmin=0, vmax=1, cmap="gray")
+    look: dict[str, Any] = {"color": YELLOW, "gapcolor": "0.2", "lw": 1.4, "label": "region of the matches"}
+    axes.plot(*np.vstack([warp.domain, warp.domain[:1]]).T, "--", **look)
+    axes.set_title(name, loc="left")
+    axes.set(xlim=extent[:2], ylim=extent[2:])
+
+
+def _draw_matches(axes: Axes, warp: Warp, source: ArrayLike, target: ArrayLike, aside: Aside | None) -> None:
+    every, target, aside = _known(source, target, aside)
+    kept = aside.kept(len(every))
+    _draw_sizes(axes, every[kept], np.hypot(*(target[kept] - warp(every[kept])).T), 14)
+    aside.draw(axes, every)
 
 
 def _known(source: ArrayLike, target: ArrayLike, aside: Aside | None) -> tuple[Floats, Floats, Aside]:
@@ -216,19 +299,6 @@ def _paint_failures(axes: Axes, warp: Warp, extent: rasters.Extent) -> None:
             layer[..., 3] = 0.6 * mask.reshape(len(y), len(x))
             axes.imshow(layer, extent=extent, interpolation="nearest")
             axes.plot([], [], "s", color=colour, alpha=0.6, label=name)
-    axes.plot([], [], "--", color=YELLOW, lw=1.5, label="region of the matches")
-
-
-def _legend_below(figure: Figure) -> None:
-    """One legend for all panels, each label once."""
-    entries = (axes.get_legend_handles_labels() for axes in figure.axes)
-    handles = {label: handle for entry in entries for handle, label in zip(*entry, strict=True)}
-    legend = figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    legend.get_frame().set(facecolor="0.8", edgecolor="none")  # on white, yellow is not seen
-
-
-def _control_points(warp: Warp) -> str:
-    return f"{len(warp.control_points)} control points"
 
 
 def _grid_lines(warp: Warp) -> list[Floats]:
@@ -257,18 +327,20 @@ def _crossings(corners: Floats, across: int, at: float) -> tuple[float, float]:
     return float(where.min()), float(where.max())
 
 
-def _draw_errors(axes: Axes, predicted: Floats, target: Floats) -> float:
-    """Draw errors as arrows, and return how much longer than the errors they are."""
+def _draw_errors(axes: Axes, predicted: Floats, target: Floats) -> tuple[float, int]:
+    """Draw errors as arrows, and return how much longer than the errors they are, and which part of them has one."""
     known = np.isfinite(predicted).all(axis=1)
     errors, predicted = (target - predicted)[known], predicted[known]
     usual = float(np.percentile(np.hypot(*errors.T), 90)) if known.any() else 0.0
-    size = diagonal(target)
+    size, every = diagonal(target), -(-len(errors) // _ARROWS) or 1
     # Rounding errors are not worth magnifying.
     factor = _round_number(0.03 * size / usual) if usual > 1e-9 * size else 1.0
+    look: dict[str, Any] = {"color": BLUE, "width": 0.0022, "zorder": 2}
+    some = slice(None, None, every)
     axes.quiver(
-        *predicted.T, *(factor * errors).T, angles="xy", scale_units="xy", scale=1, color=BLUE, width=0.0016
+        *predicted[some].T, *(factor * errors[some]).T, angles="xy", scale_units="xy", scale=1, **look
     )
-    return factor
+    return factor, every
 
 
 def _round_number(value: float) -> float:

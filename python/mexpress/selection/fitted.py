@@ -30,7 +30,10 @@ from mexpress.selection.selection import Selection
 from mexpress.suspicion import Suspects
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from mexpress.plotting.figures import Aside
 
 _CRITERION = "ER10"
 
@@ -160,7 +163,7 @@ class FittedSelection(Selection, Generic[ModelT]):
         fit = self.least_squares(threads=threads)
         return radius_curve(fit, Places(data.points, threads), data.domain, data.diagonal, percents, threads)
 
-    def plot_radii(self, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot_radii(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Plot the selected model's score against the radius of the held-out data (extra ``plot``).
 
         A second panel shows distances from the domain to the nearest datum: larger radii test predictions that no use
@@ -170,12 +173,19 @@ class FittedSelection(Selection, Generic[ModelT]):
         ----------
         path : path, optional
             File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the scores alone, in place of a figure of its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
         """
         from mexpress.plotting import plot_radii  # noqa: PLC0415 - an extra
 
-        return plot_radii(self.radii(), path, unit=self._unit)
+        return plot_radii(self.radii(), path, ax=ax, unit=self._unit)
 
-    def plot_error(self, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot_error(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Plot the error to expect of the selected model, see `mexpress.Surface.error` (extra ``plot``).
 
         A map of the domain, hatched where the error has not been tested, and the error by the distance to the data.
@@ -184,11 +194,25 @@ class FittedSelection(Selection, Generic[ModelT]):
         ----------
         path : path, optional
             File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the map alone, in place of a figure of its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
         """
         from mexpress.plotting import plot_error  # noqa: PLC0415 - an extra
 
         assert isinstance(self._model, FittedModel)  # as warps and surfaces are
-        return plot_error(self._model, path, unit=self._unit)
+        return plot_error(self._model, path, ax=ax, unit=self._unit)
+
+    def _aside(self) -> Aside:
+        """Tell which data are not in the fit; those that are missing are absent, too."""
+        from mexpress.plotting.figures import Aside  # noqa: PLC0415 - an extra
+
+        every = np.arange(len(self.data.points))
+        return Aside(self.left_out, np.setdiff1d(every, np.union1d(self.left_out, self.kept)))
 
     def suspects(
         self, threshold: float = THRESHOLD, radius: float = 0.0, threads: int | None = None

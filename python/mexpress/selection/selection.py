@@ -15,6 +15,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -219,17 +220,24 @@ class Selection:
         scores = self.maps[self.criterion][k]
         return None if np.isnan(scores).all() else int(np.nanargmin(scores))
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Plot the criteria against the number of control points, and the weight if there are several (extra ``plot``).
 
         Parameters
         ----------
         path : path, optional
             File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the curves alone, in place of a figure of its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
         """
         from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
 
-        return plot_selection(self, path)
+        return plot_selection(self, path, ax=ax)
 
 
 def strongest(entrants: Sequence[Selection], name: str) -> tuple[Selection, int, int] | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -22,6 +23,10 @@ from mexpress.selection.defaults import AUTO, is_automatic, surface_defaults
 from mexpress.selection.fitted import FittedSelection, select_of
 from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,6 +80,99 @@ class SurfaceSelection(FittedSelection[Surface]):
     def _design(self, basis: CardinalBasis) -> Design[Surface]:
         data: Samples = self._kept_data
         return data.design(basis)
+
+    def plot_surface(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+        image_size: tuple[float, float] | None = None,
+        unit: str | None = None,
+    ) -> Figure:
+        """Plot the selected surface with the data of its fit, as maps and in space (extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw one panel alone, in place of a figure of its own: the surface in space in axes made with
+            ``projection="3d"``, a depth's map in others.
+        image_size : (width, height), optional
+            Of the depth map in pixels, if the points are its pixels: y then points down.
+        unit : str, optional
+            Of the values.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
+        """
+        from mexpress.plotting import plot_surface  # noqa: PLC0415 - an extra
+
+        points, values = self.points[self.kept], self.values[self.kept]
+        return plot_surface(self.surface, points, values, path, ax=ax, image_size=image_size, unit=unit)
+
+    def plot_residuals(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+        image_size: tuple[float, float] | None = None,
+        unit: str | None = None,
+    ) -> Figure:
+        """Plot the residuals of the selected surface where the data are (extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw, in place of a figure of its own.
+        image_size : (width, height), optional
+            Of the depth map in pixels, if the points are its pixels: y then points down.
+        unit : str, optional
+            Of the values.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
+        """
+        from mexpress.plotting import plot_residuals  # noqa: PLC0415 - an extra
+
+        look: dict[str, Any] = {"ax": ax, "image_size": image_size, "unit": unit}
+        return plot_residuals(self.surface, self.points, self.values, path, **look, aside=self._aside())
+
+    def plot_control_points(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+        image_size: tuple[float, float] | None = None,
+        unit: str | None = None,
+    ) -> Figure:
+        """Plot the control points over the data (extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw, in place of a figure of its own.
+        image_size : (width, height), optional
+            Of the depth map in pixels, if the points are its pixels: y then points down.
+        unit : str, optional
+            Of the values.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
+        """
+        from mexpress.plotting import plot_control_points  # noqa: PLC0415 - an extra
+
+        return plot_control_points(self, path, ax=ax, image_size=image_size, unit=unit)
 
 
 def select_surface(

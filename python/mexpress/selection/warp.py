@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,10 @@ from mexpress.selection.fitted import FittedSelection, select_of
 from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
 from mexpress.selection.weights import several_weights
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,6 +91,55 @@ class WarpSelection(FittedSelection[Warp]):
     def _design(self, basis: CardinalBasis) -> Design[Warp]:
         matches: Matches = self._kept_data
         return matches.design(basis, self.warp.fractional, _over_data(self.placement))
+
+    def plot_warp(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
+        """Plot how far the selected warp moves points, how it bends a grid, and its errors (extra ``plot``).
+
+        Parameters
+        ----------
+        path : path, optional
+            File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the warped grid and the errors alone, in place of a figure of its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
+        """
+        from mexpress.plotting import plot_warp  # noqa: PLC0415 - an extra
+
+        return plot_warp(self.warp, self.source, self.target, path, ax=ax, aside=self._aside())
+
+    def plot_registration(
+        self,
+        source_image: ArrayLike,
+        target_image: ArrayLike,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Figure:
+        """Plot how well the selected warp registers two images, in the frame of the source image (extra ``plot``).
+
+        Parameters
+        ----------
+        source_image, target_image : array_like, (height, width) or (height, width, 3 or 4)
+            Gray or colour; integers, or floating point numbers, which are stretched to their range if they are not
+            from 0 to 1.
+        path : path, optional
+            File for the figure; its ending gives the format.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw one image over the other alone, in place of a figure of its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of `ax`, or a new one, which notebooks show.
+        """
+        from mexpress.plotting import plot_registration  # noqa: PLC0415 - an extra
+
+        images, aside = (source_image, target_image), self._aside()
+        return plot_registration(self.warp, *images, self.source, self.target, path=path, ax=ax, aside=aside)
 
 
 def select_warp(
