@@ -278,4 +278,5 @@ def every_scheme(points: Array, seed: int = 0) -> dict:
         "random_sampling": s.random_sampling(n, max(1, n // 4), 6, seed=seed),
         "from_sets": s.from_sets(sets, [x[: (len(x) + 1) // 2] for x in sets], n=n),
         "from_splits": s.from_splits(gap, n=n),
+        "buffered": s.buffered(s.k_fold(n, min(4, n), seed=seed), points, 0.03 * np.hypot(1920, 1080)),
     }

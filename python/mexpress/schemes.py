@@ -14,7 +14,7 @@ array([-2.5,  2. ,  3. ])
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Any
@@ -31,6 +31,7 @@ from mexpress.index_sets import CoreSets, IndexSets, checked, compress, containe
 __all__ = [
     "IndexSets",
     "Scheme",
+    "buffered",
     "delaunay",
     "exclusion_radius",
     "from_distance",
@@ -132,6 +133,49 @@ class Scheme:
         low, high = (int(sizes.min()), int(sizes.max())) if len(self) else (0, 0)
         span = f"{low}" if low == high else f"{low} to {high}"
         return f"Scheme({len(self)} pairs over {self.n_data} data, {span} held out)"
+
+    def split(self, X: Any = None, y: Any = None, groups: Any = None) -> Iterator[tuple[Integers, Integers]]:
+        """Yield (train, test) for each pair, as the splitters of scikit-learn do: a scheme is a `cv` for any estimator.
+
+        Test data are those that the pair validates. What it holds out beyond them, such as a neighbourhood, is in
+        neither set.
+
+        Parameters
+        ----------
+        X : (n, ...) array, optional
+            Its number of data is checked.
+        y, groups
+            Ignored; scikit-learn passes them.
+
+        Raises
+        ------
+        ValueError
+            If X has not the scheme's number of data.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> scheme = mx.schemes.exclusion_radius([[0.0], [1.0], [3.0]], radius=1.5)
+        >>> [(train.tolist(), test.tolist()) for train, test in scheme.split()]
+        [([2], [0]), ([2], [1]), ([0, 1], [2])]
+        """
+        n = self.n_data if X is None else _length(X)
+        if n != self.n_data:
+            check.refuse("X", f"It must have the scheme's {self.n_data} data.", f"{n} data")
+        return (
+            (_complement(held, n), test) for held, test in zip(self.held_out, self.validated, strict=True)
+        )
+
+    def get_n_splits(self, X: Any = None, y: Any = None, groups: Any = None) -> int:
+        """Return the number of pairs, as the splitters of scikit-learn do.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> mx.schemes.k_fold(10, 5).get_n_splits()
+        5
+        """
+        return len(self)
 
     def restricted(self, some: Integers) -> Scheme:
         """Return the scheme over some of its data, (k,), increasing: the others are neither held out nor validated.
@@ -432,6 +476,57 @@ def delaunay(points: ArrayLike) -> Scheme:
     return Places(check.points(points, "points")).delaunay()
 
 
+def buffered(scheme: Scheme, points: ArrayLike, radius: float, threads: int | None = None) -> Scheme:
+    """Hold out with every pair of a scheme also all data within a radius of those that it validates.
+
+    Blocks or folds in space are next to their training data at their edges. With a buffer, every validated datum is
+    farther than the radius from what predicts it, as with `exclusion_radius`, for as few pairs as there are folds.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        What is held out and validated, such as `k_fold`, or the folds of a splitter by `from_splits`.
+    points : (n, d) array, d from 1 to 3
+        Positions of the data.
+    radius : float
+        Width of the buffer, in the unit of the points.
+    threads : int, optional
+        Largest number of threads.
+
+    Examples
+    --------
+    >>> import mexpress as mx
+    >>> points = [[0.0], [1.0], [2.0], [3.0], [4.0], [5.0]]
+    >>> halves = mx.schemes.from_sets([[0, 1, 2], [3, 4, 5]])
+    >>> list(mx.schemes.buffered(halves, points, radius=1).held_out)
+    [array([0, 1, 2, 3]), array([2, 3, 4, 5])]
+    """
+    if not isinstance(scheme, Scheme):
+        rule = "It must come from mexpress.schemes, such as k_fold(n, 5)."
+        check.refuse("scheme", rule, check.describe(scheme), TypeError)
+    places = Places.of(points, threads)
+    if len(places.points) != scheme.n_data:
+        check.refuse(
+            "points", f"It must have the scheme's {scheme.n_data} data.", f"{len(places.points)} points"
+        )
+    near = places.within(radius).held_out
+    held: list[Integers] = []
+    total = 0
+    for out, validated in zip(scheme.held_out, scheme.validated, strict=True):
+        member = np.zeros(scheme.n_data, dtype=np.bool_)
+        member[out] = True
+        for i in validated:
+            member[near[i]] = True
+        held.append(np.flatnonzero(member))
+        total += len(held[-1])
+        if total > MOST_INDICES:
+            rule = f"The sets must fit in {MOST_INDICES} indices: take less."
+            check.refuse(
+                "radius", rule, f"{radius}, with more than that for {len(held)} of {len(scheme)} pairs"
+            )
+    return Scheme(scheme.n_data, compress(held), scheme.validated, scheme.order)
+
+
 def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:
     """Local exclusion by any distance: validate each datum with all data within tau held out, equation (12).
 
@@ -655,6 +750,12 @@ def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = N
     held = compress(_complement(train, total) for train in trains)
     _expect_held(held, tests, "splits", "Test data must not be trained on.", "split")
     return Scheme(total, held, tests)
+
+
+def _length(X: Any) -> int:
+    """Number of rows of an array, a frame, or a sparse matrix, which has no len."""
+    shape = getattr(X, "shape", None)
+    return int(shape[0]) if shape else len(X)
 
 
 def _complement(some: Integers, n: int) -> Integers:

@@ -59,6 +59,7 @@ COVERED = {
     "show_versions",  # test_versions.py
     "IndexSets",
     "Scheme",
+    "buffered",  # test_schemes.py
     "delaunay",
     "exclusion_radius",
     "from_distance",  # test_schemes.py

@@ -6,6 +6,8 @@ import pytest
 import verde
 from hypothesis import given
 from hypothesis import strategies as st
+from refits import every_scheme
+from scipy.sparse import coo_array
 from scipy.spatial import Delaunay
 from sklearn.model_selection import (
     GroupKFold,
@@ -13,7 +15,9 @@ from sklearn.model_selection import (
     LeaveOneGroupOut,
     ShuffleSplit,
     TimeSeriesSplit,
+    cross_val_predict,
 )
+from sklearn.neighbors import KNeighborsRegressor
 
 import mexpress as mx
 
@@ -548,3 +552,69 @@ def test_splitters_equal_refits_of_their_training_data(name, coupling):
 def test_n_is_the_largest_index_and_one():
     assert s.from_splits([([0, 1], [6]), ([2], [3])]).n_data == 7
     assert s.from_splits(KFold(3).split(np.zeros(10))).n_data == 10
+
+
+@pytest.mark.parametrize("name", every_scheme(np.random.default_rng(0).uniform(0, 1000, (40, 2))))
+def test_every_scheme_splits_into_training_and_test_data(name):
+    scheme = every_scheme(np.random.default_rng(0).uniform(0, 1000, (40, 2)))[name]
+    pairs = list(scheme.split(np.zeros((40, 3)), np.zeros(40), None))
+    assert len(pairs) == scheme.get_n_splits() == len(scheme)
+    for (train, test), held, validated in zip(pairs, scheme.held_out, scheme.validated, strict=True):
+        assert sorted([*train, *held]) == list(range(40))
+        assert test.tolist() == validated.tolist()
+    again = s.from_splits(pairs, 40)
+    assert (lists(again.held_out), lists(again.validated)) == (
+        lists(scheme.held_out),
+        lists(scheme.validated),
+    )
+
+
+def test_a_scheme_splits_its_own_number_of_data_only():
+    scheme = s.leave_one_out(3)
+    assert len(list(scheme.split(coo_array((3, 2))))) == len(list(scheme.split([1, 2, 3]))) == 3
+    with pytest.raises(ValueError, match=r"Invalid X\. It must have the scheme's 3 data\. Given 4 data"):
+        scheme.split(np.zeros((4, 2)))
+
+
+def test_schemes_are_splitters_of_scikit_learn():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 1, (60, 2))
+    y = points[:, 0] + rng.normal(0, 0.1, 60)
+    near = s.exclusion_radius(points, 0.2)
+    predicted = cross_val_predict(KNeighborsRegressor(1), points, y, cv=near)
+    for i in range(60):
+        far = np.flatnonzero(np.linalg.norm(points - points[i], axis=1) > 0.2)
+        assert predicted[i] == y[far[np.linalg.norm(points[far] - points[i], axis=1).argmin()]]
+
+
+@pytest.mark.parametrize("radius", [0.0, 60.0, 250.0])
+def test_a_buffer_is_around_all_that_is_validated(radius):
+    points = np.random.default_rng(3).uniform(0, 1000, (50, 2))
+    folds = s.from_splits(
+        verde.BlockKFold(spacing=300, n_splits=5, shuffle=True, random_state=0).split(points), 50
+    )
+    wide = s.buffered(folds, points, radius)
+    assert lists(wide.validated) == lists(folds.validated)
+    distances = np.linalg.norm(points[:, None] - points, axis=2)
+    for held, own, validated in zip(wide.held_out, folds.held_out, folds.validated, strict=True):
+        assert set(held) == set(own) | set(np.flatnonzero((distances[validated] <= radius).any(axis=0)))
+
+
+def test_a_buffer_of_leave_one_out_is_local_exclusion():
+    points = np.random.default_rng(3).uniform(0, 1000, (50, 2))
+    wide, near = s.buffered(s.leave_one_out(50), points, 200.0), s.exclusion_radius(points, 200.0)
+    assert lists(wide.held_out) == lists(near.held_out)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "points", "radius", "name"),
+    [
+        ("folds", np.zeros((3, 2)), 1.0, "scheme"),
+        (s.leave_one_out(4), np.zeros((3, 2)), 1.0, "points"),
+        (s.leave_one_out(3), np.zeros((3, 2)), -1.0, "radius"),
+        (s.leave_one_out(3), [[0.0, np.nan]] * 3, 1.0, "points"),
+    ],
+)
+def test_what_has_no_buffer(scheme, points, radius, name):
+    with pytest.raises((ValueError, TypeError), match=f"^Invalid {name}\\."):
+        s.buffered(scheme, points, radius)
