@@ -1,5 +1,7 @@
 """Progress of long work, on one line of standard error."""
 
+from __future__ import annotations
+
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence

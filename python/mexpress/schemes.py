@@ -44,6 +44,11 @@ __all__ = [
     "random_sampling",
 ]
 
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 # A list of more indices than this is probably a mistake.
 MOST_INDICES = 100_000_000
 

@@ -23,3 +23,7 @@ __all__ = [
     "read_weighted_matches",
     "write_matches",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,5 +1,7 @@
 """Surfaces: smooth functions, fitted to depths or to points in space, over a region of the plane."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -63,7 +65,7 @@ class SurfaceGrid:
     values: Floats
     inside: NDArray[np.bool_]
     triangles: Integers
-    surface: "Surface"
+    surface: Surface
 
     def __repr__(self) -> str:
         rows, columns = self.inside.shape
