@@ -20,6 +20,7 @@ from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
+from mexpress.progress import Show, hidden
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
@@ -290,9 +291,9 @@ class Question(Protocol[SelectionT_co]):
         """Largest number of threads."""
 
     def select(
-        self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+        self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
     ) -> SelectionT_co:
-        """Return the selection of data of positive weight; `label` names the progress that is shown, if any."""
+        """Return the selection of data of positive weight; `show` shows the progress."""
 
 
 def select_of(
@@ -300,7 +301,7 @@ def select_of(
     question: Question[SelectionT_co],
     criteria: Sequence[str] | Mapping[str, Scheme] | None,
     robust: bool,
-    label: str | None,
+    show: Show,
 ) -> SelectionT_co:
     """Select for the data that are present and, if `robust`, not wrong; and tell of all data by their indices."""
     n, kept = len(data.points), present(data)
@@ -310,7 +311,7 @@ def select_of(
         found = find_wrong(part(data, kept), lambda some: again(kept[some]), threads=question.threads)
         wrong = kept[np.sort(found.indices)]
         kept = np.setdiff1d(kept, wrong)
-    selection = question.select(part(data, kept), _restricted(criteria, kept, n), label)
+    selection = question.select(part(data, kept), _restricted(criteria, kept, n), show)
     undefined = {
         name: {count: kept[lost] for count, lost in by_count.items()}
         for name, by_count in selection.undefined.items()
@@ -325,7 +326,7 @@ def _select_part(
     some: Integers,
 ) -> SelectionT_co:
     """Select for some of the data."""
-    return question.select(part(data, some), _restricted(criteria, some, len(data.points)), None)
+    return question.select(part(data, some), _restricted(criteria, some, len(data.points)), hidden)
 
 
 def _restricted(
