@@ -243,6 +243,7 @@ class SurfaceQuestion:
             surface=outcome.model,
             control_points=outcome.model.control_points if ordered is None else ordered,
             placement=self.placement,
+            question=self,
         )
 
     def _candidates(self, data: Samples, lifting: type[Lifting], placement: str) -> Candidates[Surface]:

@@ -250,7 +250,9 @@ class WarpQuestion:
         outcome = rivals.select(grid, plain, bridge, request, show)
         warps = outcome.sweep.best_models(outcome.selection)
         warps[outcome.selection.count] = outcome.model
-        return WarpSelection(**vars(outcome.selection), data=matches, warps=warps, placement=self.placement)
+        return WarpSelection(
+            **vars(outcome.selection), data=matches, warps=warps, placement=self.placement, question=self
+        )
 
     @property
     def _automatic(self) -> bool:
