@@ -1,5 +1,6 @@
 """How much is tried, by how many threads, and which tests are of the paper."""
 
+import logging
 import os
 
 import pytest
@@ -7,6 +8,9 @@ from hypothesis import HealthCheck, settings
 
 # Matrices are small here: threads of numpy's BLAS would take twice the time, most of it to wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# At the level INFO, which pytest sets, every selection would compute its notes.
+logging.getLogger("mexpress").setLevel(logging.WARNING)
 
 UNHURRIED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 REPEATABLE = UNHURRIED | {"derandomize": True, "database": None}

@@ -8,24 +8,34 @@ Examples
 CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
 """
 
-from importlib.metadata import version
+from __future__ import annotations
 
-from mexpress import criteria, io, schemes
-from mexpress.batch import map_problems
-from mexpress.io.clouds import Cloud, read_cloud
-from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
-from mexpress.models import Surface, Warp
-from mexpress.models.files import load
-from mexpress.selection import (
-    Selection,
-    SurfaceSelection,
-    WarpSelection,
-    fit_surface,
-    fit_warp,
-    select_surface,
-    select_warp,
-)
-from mexpress.versions import show_versions
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from mexpress import _core  # noqa: F401 - a build that does not suit this Python fails here, not at first use
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from mexpress import criteria, io, liftings, placement, schemes, simulation
+    from mexpress.batch import map_problems
+    from mexpress.io.clouds import Cloud, read_cloud
+    from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
+    from mexpress.models import Surface, Warp
+    from mexpress.models.files import load
+    from mexpress.selection import (
+        Selection,
+        SurfaceSelection,
+        WarpSelection,
+        fit_surface,
+        fit_warp,
+        select_surface,
+        select_warp,
+    )
+    from mexpress.versions import show_versions
+
+    __version__: str
 
 __all__ = [
     "Cloud",
@@ -42,13 +52,52 @@ __all__ = [
     "fit_surface",
     "fit_warp",
     "io",
+    "liftings",
     "load",
     "map_problems",
+    "placement",
     "read_cloud",
     "schemes",
     "select_surface",
     "select_warp",
     "show_versions",
+    "simulation",
 ]
 
-__version__ = version("mexpress")
+_HOMES = {
+    "mexpress.batch": ["map_problems"],
+    "mexpress.io.clouds": ["Cloud", "read_cloud"],
+    "mexpress.leastsquares": ["CrossValidation", "LeastSquares", "RankLossWarning", "cross_validate_nested"],
+    "mexpress.models": ["Surface", "Warp"],
+    "mexpress.models.files": ["load"],
+    "mexpress.selection": [
+        "Selection",
+        "SurfaceSelection",
+        "WarpSelection",
+        "fit_surface",
+        "fit_warp",
+        "select_surface",
+        "select_warp",
+    ],
+    "mexpress.versions": ["show_versions"],
+}
+"""Where public names are; the others are modules. Each is imported when it is first used: all of them, and what they
+import, take four times as long as numpy."""
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])
+
+
+if not TYPE_CHECKING:  # for type checkers, only what is imported above is there
+
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            value = import_module("importlib.metadata").version("mexpress")
+        elif name in __all__:
+            home = next((home for home, names in _HOMES.items() if name in names), None)
+            value = import_module(f"mexpress.{name}") if home is None else getattr(import_module(home), name)
+        else:
+            raise AttributeError(f"module 'mexpress' has no attribute {name!r}")
+        globals()[name] = value
+        return value

@@ -377,10 +377,10 @@ def number(value: Any, name: str, rule: str, low: float, *, strict: bool = False
     return result
 
 
-def flag(value: Any, name: str) -> bool:
+def flag(value: Any, name: str, rule: str = "It must be True or False.") -> bool:
     """True or False."""
     if not isinstance(value, _TRUTH):
-        refuse(name, "It must be True or False.", describe(value), TypeError)
+        refuse(name, rule, describe(value), TypeError)
     return bool(value)
 
 

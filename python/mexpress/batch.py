@@ -10,13 +10,13 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import closing, nullcontext
+from contextlib import closing
 from contextvars import ContextVar
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
 from mexpress import _validation as check
-from mexpress.progress import bar
+from mexpress.progress import shown
 
 Result = TypeVar("Result")
 Problem = tuple[Any, ...] | Mapping[str, Any]
@@ -37,7 +37,7 @@ def map_problems(
     problems: Iterable[Problem],
     workers: int | None = None,
     client: Any = None,
-    progress: bool = False,
+    progress: bool | Callable[..., Any] = False,
     on_result: Callable[[int, Result], object] | None = None,
     **options: Any,
 ) -> list[Result]:
@@ -61,8 +61,10 @@ def map_problems(
         makes the calls: it takes any function, and the calls may use all cores.
     client : distributed.Client or concurrent.futures.Executor, optional
         Makes the calls with its own workers instead. Pass ``threads=1`` if it runs several calls on one machine.
-    progress : bool, default False
-        Whether to show progress on the terminal.
+    progress : bool or callable, default False
+        Whether to show progress on the terminal; or what makes a bar, such as ``tqdm.tqdm``. It is called with
+        ``total`` and ``desc``, the number of problems and what they are. What it returns has ``update(1)`` called after
+        each problem, and ``close()`` at the end. What they raise ends the work.
     on_result : callable, optional
         Called in this thread with the index and the result of each problem, as soon as the result arrives.
     **options
@@ -112,12 +114,12 @@ def map_problems(
     for name, callback in (("function", function), ("on_result", on_result)):
         if not callable(callback) and (callback is not None or name == "function"):
             check.refuse(name, "It must be callable.", check.describe(callback), TypeError)
-    check.flag(progress, "progress")
+    show = shown(progress, "problems")
     results: dict[int, Result] = {}
     stream = _stream(function, calls, workers, client)
     with (
         closing(stream),
-        bar([1] * len(calls), "problems") if progress else nullcontext(lambda: None) as step,
+        show([1] * len(calls)) as step,
     ):
         for index, result in stream:
             results[index] = result

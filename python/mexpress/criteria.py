@@ -49,6 +49,11 @@ from mexpress.schemes import LazyNeighbourhoods, Places, Scheme
 
 __all__ = ["UNITLESS", "Criterion", "Domain", "Score", "Scorer", "parse"]
 
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 UNITLESS = frozenset({"AIC", "BIC"})
 """Criteria without a unit."""
 

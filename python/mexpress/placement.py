@@ -1,5 +1,7 @@
 """Placement of control points: over the region of the data, at data that fit badly, or at data far from each other."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,6 +24,11 @@ from mexpress.geometry import (
 )
 
 __all__ = ["area", "by_residual", "covered_region", "farthest_first", "lattice", "lloyd", "thinness"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
 
 COINCIDENT = 1e-5
 """Control points coincide when they are nearer than this fraction of the largest distance to their mean."""

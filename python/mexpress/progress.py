@@ -1,11 +1,25 @@
-"""Progress of long work, on one line of standard error."""
+"""Progress of long work: on one line of standard error, or in a bar of the user's own.
+
+Whoever has work to show takes a `Show`, which `shown` makes of an argument ``progress``: True, False, or what makes a
+bar, such as the class ``tqdm.tqdm``. It is called with ``total``, the number of steps, and ``desc``, what they are;
+what it returns has ``update``, which is called with 1 after each step, and ``close``, which is called at the end, after
+an error, too. What they raise ends the work.
+"""
+
+from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from itertools import accumulate
-from typing import TextIO
+from typing import Any, TextIO, TypeAlias
+
+from mexpress import _validation as check
+
+Show: TypeAlias = Callable[[Sequence[float]], AbstractContextManager[Callable[[], None]]]
+"""Takes the cost of every step, and yields a function to call after each."""
 
 _PATIENCE = 1.0
 """Seconds before progress is shown: short work needs none."""
@@ -15,6 +29,48 @@ _LOG_PERIOD = 5.0
 """Seconds between lines in a log, which grows; a line on a terminal is redrawn."""
 
 _CELLS = 24
+
+
+def hidden(costs: Sequence[float]) -> AbstractContextManager[Callable[[], None]]:
+    """Show nothing."""
+    return nullcontext(lambda: None)
+
+
+def shown(progress: bool | Callable[..., Any], label: str) -> Show:
+    """Return what shows the progress of work called `label`, as `progress` says.
+
+    Examples
+    --------
+    >>> class Meter:
+    ...     def __init__(self, total, desc):
+    ...         print(f"{desc}: {total} steps")
+    ...     def update(self, number):
+    ...         print(f"{number} done")
+    ...     def close(self):
+    ...         print("closed")
+    >>> with shown(Meter, "warps")([1, 4]) as step:
+    ...     step()
+    warps: 2 steps
+    1 done
+    closed
+    """
+    if callable(progress):
+        return partial(_others, progress, label)
+    rule = "It must be True, False, or what makes a bar, such as tqdm.tqdm."
+    return partial(bar, label=label) if check.flag(progress, "progress", rule) else hidden
+
+
+@contextmanager
+def _others(make: Callable[..., Any], label: str, costs: Sequence[float]) -> Iterator[Callable[[], None]]:
+    """Show progress in a bar that the user's callable makes."""
+    made = make(total=len(costs), desc=label)
+    if not all(callable(getattr(made, name, None)) for name in ("update", "close")):
+        rule = "What it makes must have update and close, as a bar of tqdm has."
+        check.refuse("progress", rule, check.describe(made), TypeError)
+    try:
+        yield lambda: made.update(1)
+    finally:
+        made.close()
 
 
 @contextmanager

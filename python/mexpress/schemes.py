@@ -45,6 +45,11 @@ __all__ = [
     "random_sampling",
 ]
 
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 # A list of more indices than this is probably a mistake.
 MOST_INDICES = 100_000_000
 
@@ -501,9 +506,7 @@ def buffered(scheme: Scheme, points: ArrayLike, radius: float, threads: int | No
     >>> list(mx.schemes.buffered(halves, points, radius=1).held_out)
     [array([0, 1, 2, 3]), array([2, 3, 4, 5])]
     """
-    if not isinstance(scheme, Scheme):
-        rule = "It must come from mexpress.schemes, such as k_fold(n, 5)."
-        check.refuse("scheme", rule, check.describe(scheme), TypeError)
+    _expect_scheme(scheme)
     places = Places.of(points, threads)
     if len(places.points) != scheme.n_data:
         check.refuse(
@@ -525,6 +528,12 @@ def buffered(scheme: Scheme, points: ArrayLike, radius: float, threads: int | No
                 "radius", rule, f"{radius}, with more than that for {len(held)} of {len(scheme)} pairs"
             )
     return Scheme(scheme.n_data, compress(held), scheme.validated, scheme.order)
+
+
+def _expect_scheme(scheme: Any) -> None:
+    if not isinstance(scheme, Scheme):
+        rule = "It must come from mexpress.schemes, such as k_fold(n, 5)."
+        check.refuse("scheme", rule, check.describe(scheme), TypeError)
 
 
 def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: int | None = None) -> Scheme:

@@ -50,13 +50,16 @@ COVERED = {
     "fit_surface",
     "fit_warp",
     "io",  # test_io_*.py
+    "liftings",  # test_liftings_all.py
     "load",
     "map_problems",  # test_batch.py
+    "placement",  # test_placement.py and those beside it
     "read_cloud",  # test_surface_arguments.py and test_io_clouds.py
     "schemes",
     "select_surface",
     "select_warp",
     "show_versions",  # test_versions.py
+    "simulation",  # test_simulation.py
     "IndexSets",
     "Scheme",
     "buffered",  # test_schemes.py

@@ -569,7 +569,7 @@ def test_a_sweep_knows_that_more_control_points_cost_more(monkeypatch):
         costs.extend(given)
         yield lambda: steps.append(label)
 
-    monkeypatch.setattr("mexpress.selection.candidates.bar", recorded)
+    monkeypatch.setattr("mexpress.progress.bar", recorded)
     source, target = np.random.default_rng(0).uniform(0, 100, (2, 60, 2))
     mx.select_warp(
         source, target, "FIT", counts=[3, 6, 12], smoothing=[1, 2], placement="lloyd", progress=True

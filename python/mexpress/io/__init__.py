@@ -25,3 +25,7 @@ __all__ = [
     "write_landmarks",
     "write_matches",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -9,6 +9,8 @@ Examples
 Cloud(48 of 48 data, depth, 8 x 6 pixels)
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass

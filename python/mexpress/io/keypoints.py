@@ -7,6 +7,8 @@ Examples
 (array([[0., 0.], [9., 9.]]), array([[7., 1.], [1., 1.]]))
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import Any
 

@@ -8,6 +8,8 @@ x,y
 320.0,240.5
 """
 
+from __future__ import annotations
+
 import os
 import warnings
 from collections.abc import Iterable, Sequence

@@ -32,3 +32,7 @@ __all__ = [
     "nested_bending",
     "register",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

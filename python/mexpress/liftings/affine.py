@@ -1,5 +1,7 @@
 """Piecewise affine functions over triangles: local, but not smooth."""
 
+from __future__ import annotations
+
 from typing import ClassVar
 
 import numpy as np

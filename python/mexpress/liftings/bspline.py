@@ -1,5 +1,7 @@
 """Bicubic B-splines: smooth and local."""
 
+from __future__ import annotations
+
 from typing import ClassVar, NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The interface of liftings, and the registry of their names."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass

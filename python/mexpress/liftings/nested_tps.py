@@ -1,5 +1,7 @@
 """Thin-plate splines in an order of their control points: every leading part of the basis is a basis."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

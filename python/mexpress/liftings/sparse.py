@@ -1,5 +1,7 @@
 """Liftings with only a few nonzero functions at a point."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Iterator
 from typing import TypeAlias

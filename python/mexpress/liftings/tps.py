@@ -1,5 +1,7 @@
 """Thin-plate splines: the smoothest functions with given values at scattered control points."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import ClassVar
 

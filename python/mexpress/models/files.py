@@ -1,5 +1,7 @@
 """Models in files: one .npz archive of plain arrays, which is safe to load from any source."""
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """Surfaces: smooth functions, fitted to depths or to points in space, over a region of the plane."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -66,7 +68,7 @@ class SurfaceGrid:
     values: Floats
     inside: NDArray[np.bool_]
     triangles: Integers
-    surface: "Surface"
+    surface: Surface
 
     def __repr__(self) -> str:
         rows, columns = self.inside.shape
@@ -289,7 +291,7 @@ class Surface(FittedModel):
         xy_units: str | None = None,
         error: bool = True,
         outside: str = NAN,
-    ) -> "xr.Dataset":
+    ) -> xr.Dataset:
         """Sample the surface on a grid, as a Dataset of xarray with its coordinates (extra ``xarray``).
 
         Parameters

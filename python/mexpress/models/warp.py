@@ -1,5 +1,7 @@
 """Image warps: linear in a lifting, or fractional (deformable perspective)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 

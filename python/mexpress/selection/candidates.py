@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Generic, NoReturn
 
@@ -18,7 +17,7 @@ from mexpress.geometry import thinness
 from mexpress.leastsquares.nested import steps
 from mexpress.liftings import Lifting, ThinPlateSpline
 from mexpress.models import Basis, CardinalBasis, Design, ModelT, NestedBasis
-from mexpress.progress import bar
+from mexpress.progress import Show
 from mexpress.schemes import Scheme
 from mexpress.selection.data import Data, Matches, total_weight
 from mexpress.selection.defaults import CRITERIA, is_automatic
@@ -146,10 +145,8 @@ class Candidates(Generic[ModelT]):
     smoothing: float | ArrayLike | str
     placed: bool = False
 
-    def select(
-        self, request: CriteriaRequest, label: str | None
-    ) -> tuple[Selection, Sweep[ModelT], Floats | None]:
-        """Score all models and let the criterion select; `label` names the progress that is shown, if any.
+    def select(self, request: CriteriaRequest, show: Show) -> tuple[Selection, Sweep[ModelT], Floats | None]:
+        """Score all models and let the criterion select; `show` shows the progress.
 
         Returns
         -------
@@ -179,7 +176,7 @@ class Candidates(Generic[ModelT]):
             if nested
             else [cost for lifting in liftings for cost in _costs(n, lifting, len(weights))]
         )
-        with bar(costs, label) if label else nullcontext(lambda: None) as on_step:
+        with show(costs) as on_step:
             if ordered is not None and nested:
                 design = self.design(NestedBasis(ordered))
                 sweep = sweep_nested(design, np.array(tried), weights, scorer, request.threads, on_step)

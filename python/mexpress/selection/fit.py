@@ -1,5 +1,7 @@
 """Fits of warps and surfaces with given control points."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
@@ -20,10 +20,12 @@ from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
+from mexpress.progress import Show, hidden
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import part, present
+from mexpress.selection.log import logged
 from mexpress.selection.notes import Subject, notes
 from mexpress.selection.robust import THRESHOLD, find_wrong
 from mexpress.selection.selection import Selection
@@ -72,8 +74,11 @@ class FittedSelection(Selection, Generic[ModelT]):
     axes: tuple[str, str] | None = field(kw_only=True, default=None)
     """What x and y of the points are called, if they were columns of a frame."""
 
-    again: Callable[[Integers], Any] = field(kw_only=True, default=None)  # type: ignore[assignment]
-    """Returns the selection for some of the data, given their indices, with the same settings."""
+    question: Question[Any] = field(kw_only=True)
+    """What was asked of the data."""
+
+    schemes: Mapping[str, Scheme] = field(kw_only=True, default_factory=dict)
+    """Schemes of the user's own, over all data."""
 
     _unit: ClassVar[str | None] = None
     """Unit of the values, if it is known."""
@@ -113,6 +118,10 @@ class FittedSelection(Selection, Generic[ModelT]):
         """
         data, model = self._kept_data, self._model
         return notes(Subject(self, data, model, self.placement, self.searched, self.least_squares, self.axes))
+
+    def again(self, some: Integers) -> Any:
+        """Return the selection for some of the data, given their indices, with the same settings."""
+        return _select_part(self.data, self.question, self.schemes, some)
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:
@@ -316,42 +325,43 @@ class Question(Protocol[SelectionT_co]):
         """Largest number of threads."""
 
     def select(
-        self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+        self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
     ) -> SelectionT_co:
-        """Return the selection of data of positive weight; `label` names the progress that is shown, if any."""
+        """Return the selection of data of positive weight; `show` shows the progress."""
 
 
+@logged
 def select_of(
     data: Any,
     question: Question[SelectionT_co],
     criteria: Sequence[str] | Mapping[str, Scheme] | None,
     robust: bool,
-    label: str | None,
+    show: Show,
 ) -> SelectionT_co:
     """Select for the data that are present and, if `robust`, not wrong; and tell of all data by their indices."""
     n, kept = len(data.points), present(data)
-    again = partial(_select_part, data, question, criteria if isinstance(criteria, Mapping) else [])
+    schemes = dict(criteria) if isinstance(criteria, Mapping) else {}
     wrong = np.zeros(0, dtype=np.int64)
     if robust:
+        again = partial(_select_part, data, question, schemes)
         found = find_wrong(part(data, kept), lambda some: again(kept[some]), threads=question.threads)
         wrong = kept[np.sort(found.indices)]
         kept = np.setdiff1d(kept, wrong)
-    selection = question.select(part(data, kept), _restricted(criteria, kept, n), label)
+    selection = question.select(part(data, kept), _restricted(criteria, kept, n), show)
     undefined = {
         name: {count: kept[lost] for count, lost in by_count.items()}
         for name, by_count in selection.undefined.items()
     }
-    return replace(selection, data=data, undefined=undefined, left_out=wrong, again=again, searched=robust)
+    return replace(
+        selection, data=data, undefined=undefined, left_out=wrong, searched=robust, schemes=schemes
+    )
 
 
 def _select_part(
-    data: Any,
-    question: Question[SelectionT_co],
-    criteria: Sequence[str] | Mapping[str, Scheme],
-    some: Integers,
+    data: Any, question: Question[SelectionT_co], schemes: Mapping[str, Scheme], some: Integers
 ) -> SelectionT_co:
-    """Select for some of the data."""
-    return question.select(part(data, some), _restricted(criteria, some, len(data.points)), None)
+    """Select for some of the data, with no criteria but the one that selects and schemes of one's own."""
+    return question.select(part(data, some), _restricted(schemes, some, len(data.points)), hidden)
 
 
 def _restricted(

@@ -23,6 +23,7 @@ from mexpress._validation import Floats
 from mexpress.liftings import ThinPlateSpline
 from mexpress.models import Basis, Design, ModelT
 from mexpress.placement import farthest_order
+from mexpress.progress import Show, hidden
 from mexpress.selection.candidates import Candidates, CriteriaRequest
 from mexpress.selection.data import Data
 from mexpress.selection.selection import Selection
@@ -59,7 +60,7 @@ def select(
     plain: Mapping[str, Candidates[ModelT]],
     bridge: Candidates[ModelT] | None,
     request: CriteriaRequest,
-    label: str | None,
+    show: Show,
 ) -> Outcome[ModelT]:
     """Let the criterion select among the grid and the plain maps, and perhaps piecewise affine models instead.
 
@@ -73,14 +74,14 @@ def select(
         Piecewise affine models, if the queries are far from the data and the criterion holds out data.
     request : CriteriaRequest
         The criteria.
-    label : str or None
-        Name of the progress that is shown, if any.
+    show : callable
+        Shows the progress of the grid.
     """
-    own, sweep, ordered = grid.select(request, label)
+    own, sweep, ordered = grid.select(request, show)
     if own.criterion == "PRESS":  # it averages over rows, and not every family has as many
         plain, bridge = {}, None
     winner = Entrant.best_of(None, own, sweep)
-    tried = {name: candidates.select(request, None)[:2] for name, candidates in plain.items()}
+    tried = {name: candidates.select(request, hidden)[:2] for name, candidates in plain.items()}
     simple = (Entrant.best_of(name, *found) for name, found in tried.items())
     for each in sorted((each for each in simple if each is not None), key=lambda each: each.score):
         if winner is None or each.may_replace(winner, request):
@@ -89,7 +90,7 @@ def select(
     if winner is None:
         refuse_unscored(own, request)
     if bridge is not None:
-        tried[PIECEWISE_AFFINE] = bridge.select(request, None)[:2]
+        tried[PIECEWISE_AFFINE] = bridge.select(request, hidden)[:2]
         other = Entrant.best_of(PIECEWISE_AFFINE, *tried[PIECEWISE_AFFINE])
         if other is not None and other.surely_better_than(winner, request):
             winner = other

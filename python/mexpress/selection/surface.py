@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -15,6 +15,7 @@ from mexpress._validation import Floats
 from mexpress.liftings import Lifting, PiecewiseAffine, ThinPlateSpline, lifting_named
 from mexpress.models import CardinalBasis, Design, Surface
 from mexpress.placement import farthest_order, residual_order
+from mexpress.progress import Show, shown
 from mexpress.schemes import Scheme
 from mexpress.selection import rivals
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement
@@ -185,7 +186,7 @@ def select_surface(
     smoothing: float | ArrayLike | str = AUTO,
     seed: int = 0,
     threads: int | None = None,
-    progress: bool = False,
+    progress: bool | Callable[..., Any] = False,
     lifting: str = "tps",
     placement: str | None = None,
     *,
@@ -232,8 +233,10 @@ def select_surface(
         Seed of everything random. The same seed gives the same result with any number of threads.
     threads : int, optional
         Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
-    progress : bool, default False
-        Whether to show progress on the terminal.
+    progress : bool or callable, default False
+        Whether to show progress on the terminal; or what makes a bar, such as ``tqdm.tqdm``. It is called with
+        ``total`` and ``desc``, the number of steps and what they are. What it returns has ``update(1)`` called after
+        each step, and ``close()`` at the end. What they raise ends the work.
     lifting : str, default "tps"
         Name of the lifting: "tps", "bspline", "affine", or a registered name, see `mexpress.liftings`.
     placement : {"residual", "nested", "lloyd"}, optional
@@ -283,8 +286,7 @@ def select_surface(
     (60, True)
     """
     data = Samples.of(points, values, weights, missing)
-    for name, flag in (("robust", robust), ("progress", progress)):
-        check.flag(flag, name)
+    check.flag(robust, "robust")
     functions = lifting_named(lifting)
     usual = surface_defaults(len(present(data)), smoothing)
     choices = "residual", "nested", "lloyd"
@@ -303,7 +305,7 @@ def select_surface(
         seed,
         threads,
     )
-    found = select_of(data, question, criteria, robust, "surface" if progress else None)
+    found = select_of(data, question, criteria, robust, shown(progress, "surface"))
     return replace(found, axes=check.axes_of(points))
 
 
@@ -322,7 +324,7 @@ class SurfaceQuestion:
     threads: int | None
 
     def select(
-        self, data: Samples, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+        self, data: Samples, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
     ) -> SurfaceSelection:
         """Select a surface for data."""
         queries = None if self.queries is None else Queries.of(self.queries, data, self.seed)
@@ -333,7 +335,7 @@ class SurfaceQuestion:
         bridges = free and splines and request.far
         bridge = self._candidates(data, PiecewiseAffine, "lloyd") if bridges else None
         grid = self._candidates(data, self.lifting, self.placement)
-        outcome = rivals.select(grid, plain, bridge, request, label)
+        outcome = rivals.select(grid, plain, bridge, request, show)
         ordered = outcome.ordered if outcome.selection.rival is None else None
         return SurfaceSelection(
             **vars(outcome.selection),
@@ -341,6 +343,7 @@ class SurfaceQuestion:
             surface=outcome.model,
             control_points=outcome.model.control_points if ordered is None else ordered,
             placement=self.placement,
+            question=self,
         )
 
     def _candidates(self, data: Samples, lifting: type[Lifting], placement: str) -> Candidates[Surface]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.liftings import Lifting, PiecewiseAffine, ThinPlateSpline, lifting_named
 from mexpress.models import CardinalBasis, Design, Warp
 from mexpress.placement import farthest_order
+from mexpress.progress import Show, shown
 from mexpress.schemes import Scheme
 from mexpress.selection import rivals
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_counts, checked_placement
@@ -155,7 +156,7 @@ def select_warp(
     image_size: tuple[float, float] | None = None,
     seed: int = 0,
     threads: int | None = None,
-    progress: bool = False,
+    progress: bool | Callable[..., Any] = False,
     *,
     weights: ArrayLike | None = None,
     robust: bool = False,
@@ -204,8 +205,10 @@ def select_warp(
         Seed of everything random. The same seed gives the same result with any number of threads.
     threads : int, optional
         Largest number of threads; MEXPRESS_NUM_THREADS or all cores by default.
-    progress : bool, default False
-        Whether to show progress on the terminal.
+    progress : bool or callable, default False
+        Whether to show progress on the terminal; or what makes a bar, such as ``tqdm.tqdm``. It is called with
+        ``total`` and ``desc``, the number of steps and what they are. What it returns has ``update(1)`` called after
+        each step, and ``close()`` at the end. What they raise ends the work.
     weights : (n,) array, optional
         Weight of every match, in the fit and in the scores, such as a match's confidence, or one over the square of
         its standard deviation. A match of weight 0 is absent. 1 each by default.
@@ -251,7 +254,7 @@ def select_warp(
     matches = Matches.of(source, target, image_size, weights, missing)
     n = len(present(matches))
     wished = checked_counts(counts, len(matches.source), "matches")
-    for name, flag in (("fractional", fractional), ("robust", robust), ("progress", progress)):
+    for name, flag in (("fractional", fractional), ("robust", robust)):
         check.flag(flag, name)
     functions = lifting_named(lifting)
     several = several_weights(smoothing)
@@ -268,7 +271,7 @@ def select_warp(
         seed,
         threads,
     )
-    return select_of(matches, question, criteria, robust, "warp" if progress else None)
+    return select_of(matches, question, criteria, robust, shown(progress, "warp"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +289,7 @@ class WarpQuestion:
     threads: int | None
 
     def select(
-        self, matches: Matches, criteria: Sequence[str] | Mapping[str, Scheme] | None, label: str | None
+        self, matches: Matches, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
     ) -> WarpSelection:
         """Select a warp for matches."""
         n = len(matches.source)
@@ -298,10 +301,12 @@ class WarpQuestion:
         plain = self._plain(matches) if self._automatic else {}
         bridge = self._candidates(matches, PiecewiseAffine, "lloyd") if self._bridges(request) else None
         grid = self._candidates(matches, self.lifting, self.placement)
-        outcome = rivals.select(grid, plain, bridge, request, label)
+        outcome = rivals.select(grid, plain, bridge, request, show)
         warps = outcome.sweep.best_models(outcome.selection)
         warps[outcome.selection.count] = outcome.model
-        return WarpSelection(**vars(outcome.selection), data=matches, warps=warps, placement=self.placement)
+        return WarpSelection(
+            **vars(outcome.selection), data=matches, warps=warps, placement=self.placement, question=self
+        )
 
     @property
     def _automatic(self) -> bool:
