@@ -69,4 +69,11 @@ def test_nothing_is_built_on_what_stands_at_the_top(name, users):
 def test_what_is_optional_is_imported_where_it_is_used():
     # A module's body has no statements of its functions, nor those under `if TYPE_CHECKING`.
     needed = {(module, name.split(".")[0]) for module, tree in MODULES.items() for name in targets(tree.body)}
-    assert {(module, library) for module, library in needed if library not in INSTALLED} == set()
+    others = {(module, library) for module, library in needed if library not in INSTALLED}
+    # Estimators are subclasses of those of scikit-learn.
+    assert {each for each in others if not each[0].startswith("mexpress.sklearn")} == set()
+    assert {library for _, library in others} == {"sklearn"}
+
+
+def test_nothing_of_the_package_needs_scikit_learn():
+    assert {user for user, rooms in ROOMS.items() if "mexpress.sklearn" in rooms} == set()

@@ -1,0 +1,390 @@
+"""Estimators of scikit-learn: closed forms against its own refits, and what it asks of estimators."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+import sklearn.linear_model as refits
+import verde
+from scipy.sparse import coo_array
+from sklearn.base import clone
+from sklearn.exceptions import UndefinedMetricWarning
+from sklearn.metrics import make_scorer, median_absolute_error
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    GroupShuffleSplit,
+    KFold,
+    LeaveOneGroupOut,
+    LeaveOneOut,
+    LeavePGroupsOut,
+    LeavePOut,
+    PredefinedSplit,
+    RepeatedKFold,
+    ShuffleSplit,
+    TimeSeriesSplit,
+    cross_val_predict,
+    cross_val_score,
+)
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.utils.estimator_checks import check_estimator
+
+import mexpress as mx
+from mexpress.sklearn import LinearRegression, Ridge, RidgeCV, SurfaceRegressor
+
+N, P = 48, 5
+RNG = np.random.default_rng(0)
+PLACES = RNG.uniform(0, 10, (N, 2))
+X = np.column_stack([PLACES, RNG.normal(size=(N, P - 2)) * [1.0, 0.1, 10.0] + [0, 0, 20.0]])
+Y = X[:, [0]] + RNG.normal(size=(N, 3)) * [1, 10, 0.1] + [0, 100, 0]
+WEIGHTS = RNG.uniform(0.1, 3, N)
+SOME_ABSENT = WEIGHTS * (np.arange(N) % 5 > 0)
+GROUPS = np.arange(N) % 6
+
+SPLITTERS = {
+    "KFold": KFold(5),
+    "shuffled": KFold(4, shuffle=True, random_state=0),
+    "GroupKFold": GroupKFold(3),
+    "LeaveOneGroupOut": LeaveOneGroupOut(),
+    "LeaveOneOut": LeaveOneOut(),
+    "PredefinedSplit": PredefinedSplit(np.arange(N) // 10),
+    "exclusion": mx.schemes.exclusion_radius(PLACES, 1.5),
+    "buffered": mx.schemes.buffered(mx.schemes.k_fold(N, 8, seed=0), PLACES, 0.3),
+    "BlockKFold": verde.BlockKFold(spacing=3, n_splits=4, shuffle=True, random_state=0),
+    # ... and those that do not validate every datum once, for scores only
+    "GroupShuffleSplit": GroupShuffleSplit(4, random_state=0),
+    "LeavePGroupsOut": LeavePGroupsOut(2),
+    "RepeatedKFold": RepeatedKFold(n_splits=4, n_repeats=2, random_state=0),
+    "ShuffleSplit": ShuffleSplit(6, test_size=0.3, train_size=0.5, random_state=0),
+    "TimeSeriesSplit": TimeSeriesSplit(4, gap=2),
+    "BlockShuffleSplit": verde.BlockShuffleSplit(spacing=3, n_splits=4, random_state=0),
+}
+PARTITIONS = list(SPLITTERS)[:9]
+PAIRS = {
+    "linear": (LinearRegression(), refits.LinearRegression(tol=1e-13)),
+    "linear through the origin": (
+        LinearRegression(fit_intercept=False),
+        refits.LinearRegression(tol=1e-13, fit_intercept=False),
+    ),
+    "ridge": (Ridge(3.0), refits.Ridge(3.0, solver="svd")),
+    "ridge through the origin": (
+        Ridge(0.1, fit_intercept=False),
+        refits.Ridge(0.1, solver="svd", fit_intercept=False),
+    ),
+}
+
+
+def taken(splitter):
+    """What splitters split: those of verde take two coordinates."""
+    return PLACES if "Block" in splitter else X
+
+
+def given(sample_weight):
+    return {} if sample_weight is None else {"params": {"sample_weight": sample_weight}}
+
+
+def close(found, expected, unit=1.0):
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * unit)
+
+
+@pytest.mark.parametrize("estimator", [LinearRegression(), Ridge(), RidgeCV(), SurfaceRegressor()], ids=repr)
+@pytest.mark.filterwarnings(
+    "ignore::sklearn.exceptions.SkipTestWarning"
+)  # of array libraries that are not installed
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.UndefinedMetricWarning")
+def test_scikit_learn_checks_estimators(estimator):
+    outcome = {check["check_name"]: check["status"] for check in check_estimator(estimator)}
+    assert len(outcome) > 40
+    assert {name for name, status in outcome.items() if status != "passed"} <= {"check_array_api_input"}
+
+
+@pytest.mark.parametrize("weights", [None, WEIGHTS, SOME_ABSENT], ids=["alike", "weighted", "some absent"])
+@pytest.mark.parametrize("targets", [slice(0, 1), 1, slice(None)], ids=["column", "one", "several"])
+@pytest.mark.parametrize("splitter", SPLITTERS)
+@pytest.mark.parametrize("model", PAIRS)
+def test_closed_forms_are_refits(model, splitter, targets, weights):
+    own, other = PAIRS[model]
+    cv, features, y = SPLITTERS[splitter], taken(splitter), Y[:, targets]
+    asked = {"cv": cv, "groups": GROUPS if "Group" in splitter else None}
+    if splitter in PARTITIONS:
+        found = own.cross_val_predict(features, y, sample_weight=weights, **asked)
+        expected = cross_val_predict(other, features, y, **asked, **given(weights))
+        assert found.shape == y.shape  # scikit-learn's ridge regression flattens a column
+        close(found, expected.reshape(y.shape), unit=100)
+    scores = own.cross_val_score(
+        features, y, scoring="neg_mean_squared_error", sample_weight=weights, **asked
+    )
+    expected = cross_val_score(
+        other, features, y, scoring="neg_mean_squared_error", **asked, **given(weights)
+    )
+    close(scores, expected)
+
+
+def test_all_pairs_of_data_are_left_out():
+    scores = Ridge(3.0).cross_val_score(X[:14], Y[:14], cv=LeavePOut(2))
+    close(scores, cross_val_score(refits.Ridge(3.0, solver="svd"), X[:14], Y[:14], cv=LeavePOut(2)))
+
+
+@pytest.mark.parametrize(
+    "scoring",
+    [
+        None,
+        "r2",
+        "neg_mean_squared_error",
+        "neg_root_mean_squared_error",
+        "neg_mean_absolute_error",
+        "neg_median_absolute_error",
+        "explained_variance",
+        make_scorer(median_absolute_error),
+    ],
+)
+@pytest.mark.parametrize(
+    "y", [Y[:, 0], Y, np.repeat([[1.0, 2.0]], N, axis=0)], ids=["one", "several", "constant"]
+)
+def test_scores_are_those_of_scikit_learn(scoring, y):
+    for cv in (None, KFold(7, shuffle=True, random_state=1)):
+        scores = Ridge(2.0).cross_val_score(X, y, cv=cv, scoring=scoring)
+        close(scores, cross_val_score(refits.Ridge(2.0, solver="svd"), X, y, cv=cv, scoring=scoring))
+
+
+def test_a_score_of_one_datum_is_not_r2():
+    with pytest.warns(UndefinedMetricWarning):
+        assert np.isnan(Ridge().cross_val_score(X, Y, cv=LeaveOneOut())).all()
+
+
+@pytest.mark.parametrize("weights", [None, SOME_ABSENT])
+def test_every_response_has_a_weight_of_its_own(weights):
+    alphas = [0.1, 10.0, 0.1]
+    found = Ridge(alphas).cross_val_predict(X, Y, cv=4, sample_weight=weights)
+    other = refits.Ridge(alphas, solver="svd")
+    close(found, cross_val_predict(other, X, Y, cv=4, **given(weights)), unit=100)
+
+
+@pytest.mark.parametrize("weights", [None, SOME_ABSENT])
+def test_training_data_that_lose_rank_are_refitted(weights):
+    # A column with one entry, dependent columns, and folds with fewer training data than columns.
+    dummies = np.eye(4)[np.arange(N) % 4]
+    features = np.column_stack([dummies, X[:, 2], np.arange(N) == 7])
+    few = [(np.arange(3), np.arange(3, N)), (np.arange(3, N), np.arange(3))]
+    for cv in (KFold(4), few):
+        found = LinearRegression().cross_val_predict(features, Y, cv=cv, sample_weight=weights)
+        other = refits.LinearRegression(tol=1e-13)
+        close(found, cross_val_predict(other, features, Y, cv=cv, **given(weights)), unit=100)
+
+
+@pytest.mark.parametrize("weights", [None, SOME_ABSENT])
+@pytest.mark.parametrize("fit_intercept", [True, False])
+def test_features_may_outnumber_the_data(weights, fit_intercept):
+    wide = np.random.default_rng(1).normal(size=(N, 3 * N))
+    for cv in (LeaveOneOut(), KFold(3)):
+        found = Ridge(5.0, fit_intercept=fit_intercept).cross_val_predict(
+            wide, Y, cv=cv, sample_weight=weights
+        )
+        other = refits.Ridge(5.0, solver="svd", fit_intercept=fit_intercept)
+        close(found, cross_val_predict(other, wide, Y, cv=cv, **given(weights)), unit=100)
+
+
+ALPHAS = np.logspace(-2, 4, 13)
+
+
+@pytest.mark.parametrize("weights", [None, WEIGHTS, SOME_ABSENT], ids=["alike", "weighted", "some absent"])
+@pytest.mark.parametrize("scoring", [None, "neg_mean_absolute_error", "neg_median_absolute_error"])
+@pytest.mark.parametrize("y", [Y[:, 0], Y], ids=["one", "several"])
+@pytest.mark.parametrize(
+    "splitter", ["KFold", "shuffled", "ShuffleSplit", "RepeatedKFold", "TimeSeriesSplit", None]
+)
+def test_all_weights_of_the_ridge_are_refits(splitter, y, scoring, weights):
+    cv = None if splitter is None else SPLITTERS[splitter]
+    found = RidgeCV(ALPHAS, cv=cv, scoring=scoring).fit(X, y, weights)
+    if (
+        splitter is None and weights is SOME_ABSENT
+    ):  # what scikit-learn divides by zero, or has as errors of zero
+        expected = refits.RidgeCV(ALPHAS, scoring=scoring).fit(
+            X[weights > 0], y[weights > 0], weights[weights > 0]
+        )
+    else:
+        expected = refits.RidgeCV(ALPHAS, cv=cv, scoring=scoring).fit(X, y, weights)
+    assert found.alpha_ == expected.alpha_
+    close(found.best_score_, expected.best_score_)
+    assert found.best_score_ == found.cv_scores_.max()
+    assert found.cv_scores_.shape == (13,)
+    close(found.predict(X), refits.Ridge(found.alpha_, solver="svd").fit(X, y, weights).predict(X), unit=100)
+
+
+@pytest.mark.parametrize("weights", [None, WEIGHTS])
+@pytest.mark.parametrize("scoring", [None, "neg_mean_absolute_error"])
+def test_every_response_may_select_for_itself(scoring, weights):
+    asked = {"alphas": ALPHAS, "scoring": scoring, "alpha_per_target": True}
+    found, expected = RidgeCV(**asked).fit(X, Y, weights), refits.RidgeCV(**asked).fit(X, Y, weights)
+    np.testing.assert_array_equal(found.alpha_, expected.alpha_)
+    close(found.best_score_, expected.best_score_)
+    assert found.cv_scores_.shape == (13, 3)
+    folds = RidgeCV(**asked, cv=4).fit(X, Y)
+    alone = [RidgeCV(ALPHAS, scoring=scoring, cv=4).fit(X, y).alpha_ for y in Y.T]
+    assert folds.alpha_.tolist() == alone
+
+
+def test_local_exclusion_selects_by_the_squared_error():
+    near = mx.schemes.exclusion_radius(PLACES, 2.0)
+    found = RidgeCV(ALPHAS, cv=near).fit(X, Y)
+    for alpha, score in zip(ALPHAS, found.cv_scores_, strict=True):
+        predicted = cross_val_predict(refits.Ridge(alpha, solver="svd"), X, Y, cv=near)
+        assert score == pytest.approx(-np.mean((Y - predicted) ** 2), rel=1e-9)
+
+
+def test_no_ridge_may_compete():
+    found = RidgeCV([0.0, 10.0], cv=3).fit(X, Y)
+    expected = [-np.inf, -np.inf]
+    for i, model in enumerate([refits.LinearRegression(tol=1e-13), refits.Ridge(10.0, solver="svd")]):
+        expected[i] = cross_val_score(model, X, Y, cv=3).mean()
+    close(found.cv_scores_, expected)
+
+
+def test_groups_reach_the_splitter():
+    found = RidgeCV(ALPHAS, cv=LeaveOneGroupOut()).fit(X, Y, groups=GROUPS)
+    expected = RidgeCV(ALPHAS, cv=list(LeaveOneGroupOut().split(X, Y, GROUPS))).fit(X, Y)
+    np.testing.assert_array_equal(found.cv_scores_, expected.cv_scores_)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Ridge(-1.0).cross_val_predict(X, Y), "Invalid alpha"),
+        (lambda: Ridge([1.0, 2.0]).cross_val_predict(X, Y), "Invalid alpha"),
+        (lambda: Ridge("strong").cross_val_predict(X, Y), "Invalid alpha"),
+        (lambda: RidgeCV([-1.0]).fit(X, Y), "Invalid alphas"),
+        (lambda: RidgeCV([]).fit(X, Y), "Invalid alphas"),
+        (lambda: RidgeCV([[1.0]]).fit(X, Y), "Invalid alphas"),
+        (lambda: RidgeCV([np.nan]).fit(X, Y), "Invalid alphas"),
+        (lambda: RidgeCV(cv=LeaveOneOut(), scoring="r2").fit(X, Y), "Invalid scoring"),
+        (lambda: Ridge().cross_val_score(X, Y, scoring="best"), "scoring"),
+        (lambda: Ridge().cross_val_predict(X, Y, cv=mx.schemes.leave_one_out(N + 1)), "Invalid cv.*48 data"),
+        (
+            lambda: Ridge().cross_val_predict(X, Y, cv=ShuffleSplit(3)),
+            "Invalid cv.*validate every datum once",
+        ),
+        (lambda: Ridge().cross_val_predict(X, Y, cv="folds"), "cv"),
+        (lambda: Ridge().cross_val_predict(X, Y[:-1]), "inconsistent numbers of samples"),
+        (lambda: Ridge().cross_val_predict(np.where(X > 9, np.nan, X), Y), "NaN"),
+        (lambda: Ridge().cross_val_predict(coo_array(X), Y), "[Ss]parse"),
+        (lambda: Ridge().cross_val_predict(X, Y, sample_weight=-WEIGHTS), "Invalid sample_weight"),
+        (lambda: Ridge().cross_val_predict(X, Y, sample_weight=WEIGHTS[1:]), "Invalid sample_weight"),
+        (lambda: Ridge().cross_val_predict(X, Y, sample_weight=0 * WEIGHTS), "sample_weight.*zero"),
+        (
+            lambda: Ridge().cross_val_predict(X, Y, sample_weight=10.0 ** np.arange(N)),
+            "Invalid sample_weight",
+        ),
+        (lambda: SurfaceRegressor().fit(X[:, :1], Y), "n_features = 1"),
+        (lambda: SurfaceRegressor(lifting="spline").fit(X[:, :2], Y), "Invalid lifting"),
+        (lambda: SurfaceRegressor().fit(X[:, [0, 0]], Y), "Invalid points"),
+        (lambda: SurfaceRegressor().fit(X, Y).grid(), "Invalid surface.*5 features"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.UndefinedMetricWarning")
+def test_what_is_refused(call, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        call()
+
+
+def test_lists_and_frames_are_taken():
+    frame = pd.DataFrame(X, columns=list("abcde"))
+    expected = Ridge().cross_val_predict(X, Y)
+    np.testing.assert_array_equal(Ridge().cross_val_predict(X.tolist(), Y.tolist()), expected)
+    np.testing.assert_array_equal(Ridge().cross_val_predict(frame, pd.DataFrame(Y)), expected)
+    assert RidgeCV().fit(frame, Y).feature_names_in_.tolist() == list("abcde")
+    close(Ridge(2.0).cross_val_predict(X, Y, sample_weight=2.0), expected, unit=100)
+
+
+# ------------------------------------------------------------------------------------------------- surfaces
+
+
+def waves(n, seed=0):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 10, (n, 2))
+    return points, np.sin(points[:, 0]) + 0.1 * rng.normal(size=n)
+
+
+def test_a_surface_is_selected_by_fit():
+    points, values = waves(150)
+    found, expected = SurfaceRegressor().fit(points, values), mx.select_surface(points, values)
+    np.testing.assert_array_equal(found.predict(points), expected.surface(points))
+    assert found.selection_.score == expected.score
+    mean, std = found.predict(points[:9] + 0.1, return_std=True)
+    np.testing.assert_array_equal(std, expected.surface.error(points[:9] + 0.1))
+    assert mean.shape == std.shape == (9,)
+
+
+def test_the_deviation_is_that_of_measurements():
+    points, values = waves(600)
+    mean, std = SurfaceRegressor().fit(points[:300], values[:300]).predict(points[300:], return_std=True)
+    assert 0.8 < np.sqrt(np.mean(((values[300:] - mean) / std) ** 2)) < 1.25
+
+
+def test_every_value_has_a_deviation_of_its_own():
+    points, values = waves(200)
+    both = np.column_stack([values, 100 * waves(200, seed=1)[1]])
+    asked = {
+        "smoothing": 0,
+        "placement": "nested",
+        "criterion": "FIT",
+        "max_count": 30,
+    }  # 30, whatever the values
+    mean, std = SurfaceRegressor(**asked).fit(points, both).predict(points[:50], return_std=True)
+    assert mean.shape == (50, 2)
+    for a in range(2):
+        alone = SurfaceRegressor(**asked).fit(points, both[:, a])
+        np.testing.assert_allclose(std[:, a], alone.predict(points[:50], return_std=True)[1], rtol=1e-9)
+
+
+def test_covariates_enter_linearly():
+    points, values = waves(300)
+    altitude = np.random.default_rng(5).normal(size=(300, 2)) + points[:, :1]
+    features = np.column_stack([points, altitude])
+    found = SurfaceRegressor().fit(features[:200], (values + altitude @ [3.0, -2.0])[:200])
+    np.testing.assert_allclose(found.coef_, [3.0, -2.0], atol=0.15)
+    assert found.score(features[200:], (values + altitude @ [3.0, -2.0])[200:]) > 0.99
+    exact = refits.LinearRegression().fit(features[:200], (values + altitude @ [3.0, -2.0])[:200])
+    np.testing.assert_allclose(found.coef_, exact.coef_[2:], rtol=1e-9)
+
+
+def test_a_weight_of_two_is_a_datum_twice():
+    points, values = waves(120)
+    twice = np.arange(120) % 3 == 0
+    weighted = SurfaceRegressor().fit(points, values, 1.0 + twice)
+    repeated = SurfaceRegressor().fit(np.vstack([points, points[twice]]), np.append(values, values[twice]))
+    np.testing.assert_allclose(weighted.predict(points), repeated.predict(points), rtol=1e-9)
+
+
+def test_a_datum_of_weight_zero_is_absent():
+    points, values = waves(120)
+    wrong = np.arange(120) % 10 == 0
+    found = SurfaceRegressor().fit(points, np.where(wrong, 99.0, values), ~wrong)
+    expected = SurfaceRegressor().fit(points[~wrong], values[~wrong])
+    np.testing.assert_array_equal(found.predict(points), expected.predict(points))
+
+
+def test_surfaces_work_where_estimators_do():
+    points, values = waves(150)
+    frame = pd.DataFrame(points, columns=["x", "y"])
+    pipeline = make_pipeline(StandardScaler().set_output(transform="pandas"), SurfaceRegressor()).fit(
+        frame, values
+    )
+    assert pipeline[-1].feature_names_in_.tolist() == ["x", "y"]
+    assert pipeline.score(frame, values) > 0.9
+    near = mx.schemes.buffered(mx.schemes.k_fold(150, 3, seed=0), points, 0.05)
+    search = GridSearchCV(SurfaceRegressor(), {"smoothing": ["auto", 1e9]}, cv=near).fit(points, values)
+    assert search.best_params_ == {"smoothing": "auto"}
+    again = pickle.loads(pickle.dumps(search.best_estimator_))
+    np.testing.assert_array_equal(again.predict(points), search.predict(points))
+    assert clone(SurfaceRegressor("ER10", seed=3)).get_params()["seed"] == 3
+
+
+def test_a_grid_is_a_dataset():
+    points, values = waves(150)
+    found = SurfaceRegressor().fit(points, values)
+    grid = found.grid(region=(2, 8, 3, 7), spacing=1.0, names="height")
+    expected = found.surface_.to_xarray((2, 8, 3, 7), spacing=1.0, names="height")
+    assert grid.identical(expected)
+    assert grid.height.shape == (5, 7)
