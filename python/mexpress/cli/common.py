@@ -311,7 +311,8 @@ def write_selection(
     """Write what every selection has; return the names of the files."""
     command = {name: _json(value) for name, value in vars(arguments).items() if name != "run"}
     reports.write_summary(
-        arguments.out / "selection.json", {"command": command, **reports.summary(selection), **more}
+        arguments.out / "selection.json",
+        {"command": command, "versions": reports.versions(), **selection.to_dict(), **more},
     )
     reports.write_curves(arguments.out / "curves.csv", selection)
     return ["selection.json", "curves.csv"]
