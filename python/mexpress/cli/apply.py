@@ -19,7 +19,6 @@ from mexpress.io.missing import DROP, KEEP
 from mexpress.models import FittedModel
 from mexpress.models.surface import Surface
 from mexpress.models.warp import Warp
-from mexpress.selection import SurfaceSelection, WarpSelection
 from mexpress.selection.files import load
 
 
@@ -100,15 +99,11 @@ def _run(arguments: argparse.Namespace) -> None:
 def _load(path: Path) -> FittedModel:
     """Load a model, or that of a selection; the files are given in the wrong order at times."""
     try:
-        model = load(path)
+        model = common.model_of(load(path))
     except ValueError as error:
         order = "It must be a saved model, such as warp.npz, and come first; the points come second."
         given = str(error).partition(" Given ")[2].removesuffix(".")
         check.refuse("MODEL", order, given)
-    if isinstance(model, WarpSelection):
-        model = model.warp
-    elif isinstance(model, SurfaceSelection):
-        model = model.surface
     if not isinstance(model, Warp | Surface):
         check.refuse("MODEL", "It must be a warp or a surface.", f"{model!r} in {path}")
     return model

@@ -219,17 +219,29 @@ def versions() -> dict[str, str]:
     return {"mexpress": version("mexpress"), "numpy": np.__version__, "python": platform.python_version()}
 
 
+def as_json(content: Mapping[str, Any]) -> str:
+    """Return a mapping as JSON, each key on a line. NaN and infinities, which JSON does not know, become null.
+
+    Examples
+    --------
+    >>> print(as_json({"score": 1.5, "scores": [1.0, math.nan]}))
+    {
+      "score": 1.5,
+      "scores": [1.0, null]
+    }
+    """
+    lines = (f"  {json.dumps(key)}: {json.dumps(plain(content[key]), allow_nan=False)}" for key in content)
+    return "{\n" + ",\n".join(lines) + "\n}"
+
+
 def write_summary(path: PathLike, content: Mapping[str, Any]) -> None:
-    """Write a summary as JSON, each key on a line.
+    """Write a summary as JSON, see `as_json`.
 
     Parameters
     ----------
     path : str or path
         Name of the file.
     content : mapping
-        What `Selection.to_dict` returns, and more. NaN and infinities, which JSON does not know, become null.
+        What `Selection.to_dict` returns, and more.
     """
-    lines = (
-        f"  {json.dumps(key)}: {json.dumps(plain(value), allow_nan=False)}" for key, value in content.items()
-    )
-    Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    Path(path).write_text(as_json(content) + "\n", encoding="utf-8")

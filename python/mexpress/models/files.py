@@ -28,7 +28,14 @@ def save(model: Any, path: str | os.PathLike[str]) -> None:
     """
     if KINDS.get(getattr(model, "kind", "")) is not type(model):
         raise TypeError(f"Invalid model. It must be one of {_class_names()}. Given {type(model).__name__}.")
-    header = {"format": np.array(FORMAT), "version": np.array(VERSION), "kind": np.array(model.kind)}
+    from importlib.metadata import version  # noqa: PLC0415 - an import of mexpress need not take as long
+
+    header = {
+        "format": np.array(FORMAT),
+        "version": np.array(VERSION),
+        "kind": np.array(model.kind),
+        "mexpress": np.array(version("mexpress")),
+    }
     with replacing(path) as file:  # np.savez would append .npz to a name
         np.savez(file, allow_pickle=False, **header, **model.to_arrays())
 
