@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from inputs import refused
 
 import mexpress as mx
 from mexpress.selection import saved
@@ -134,6 +135,15 @@ def test_all_models_of_a_selection_share_its_data(tmp_path):
 
 
 # Hostile files
+
+
+@pytest.mark.parametrize("path", [None, 3, "", [], b""])
+def test_a_path_that_is_none_is_refused(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    selection = mx.select_warp(SOURCE, TARGET, **PAPER)
+    for call in (lambda: selection.save(path), lambda: mx.load(path)):
+        refused(call, "path")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")

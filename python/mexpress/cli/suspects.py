@@ -25,7 +25,8 @@ def add_suspects(commands: argparse._SubParsersAction[common.Parser]) -> None:
         help="list matches that look wrong",
         description="List the matches that the warp which is selected without them contradicts, the worst first. A "
         "score is how far a match is from its prediction, in units of the noise or, where they are larger, of the "
-        "errors of the matches around. `mexpress warp --robust` leaves such matches out.",
+        "errors of the matches around. Matches are counted from 0, as rows of the data. `mexpress warp --robust` "
+        "leaves such matches out.",
     )
     add = parser.add_argument
     add(
