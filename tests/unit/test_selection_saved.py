@@ -229,6 +229,20 @@ def test_a_text_with_a_wrong_value_is_refused_or_read(junk, arrays, tmp_path):
     assert refusals > 20
 
 
+@pytest.mark.parametrize("name", ["criterion", "rival"])
+def test_what_is_selected_must_be_there(name, arrays, tmp_path):
+    content = json.loads(arrays["selection"].tobytes())
+    (rival,) = content["scores"]["rivals"].values()
+    for scores in (content["scores"], rival):
+        changed = {**scores, name: "mine"}
+        whole = changed if scores is not rival else {**content["scores"], "rivals": {"affine map": changed}}
+        text = saved.to_text({**content, "scores": whole})
+        with pytest.raises(
+            ValueError, match=rf"cannot be rebuilt: Invalid {name}\. It must be one of .* 'mine'"
+        ):
+            read(tmp_path / "a", {**arrays, "selection": text})
+
+
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff", b"[" * 100_000, b'"text"', b"null"])
 def test_a_text_that_is_none_is_refused(text, arrays, tmp_path):
     refused_file(tmp_path / "a", {**arrays, "selection": np.frombuffer(text, dtype=np.uint8)})
