@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mexpress.io.clouds import Cloud, read_cloud
     from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
     from mexpress.models import Surface, Warp
-    from mexpress.models.files import load
     from mexpress.selection import (
         Selection,
         SurfaceSelection,
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
         select_surface,
         select_warp,
     )
+    from mexpress.selection.files import load
     from mexpress.versions import show_versions
 
     __version__: str
@@ -69,7 +69,6 @@ _HOMES = {
     "mexpress.io.clouds": ["Cloud", "read_cloud"],
     "mexpress.leastsquares": ["CrossValidation", "LeastSquares", "RankLossWarning", "cross_validate_nested"],
     "mexpress.models": ["Surface", "Warp"],
-    "mexpress.models.files": ["load"],
     "mexpress.selection": [
         "Selection",
         "SurfaceSelection",
@@ -79,6 +78,7 @@ _HOMES = {
         "select_surface",
         "select_warp",
     ],
+    "mexpress.selection.files": ["load"],
     "mexpress.versions": ["show_versions"],
 }
 """Where public names are; the others are modules. Each is imported when it is first used: all of them, and what they

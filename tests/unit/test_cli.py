@@ -24,6 +24,7 @@ RNG = np.random.default_rng(1)
 SOURCE = RNG.uniform(0, 1, (80, 2)) * [640, 480]
 TARGET = 0.9 * SOURCE + 15 * np.sin(SOURCE[:, ::-1] / 150) + RNG.normal(0, 0.3, SOURCE.shape)
 PAPER = ("--smoothing", "0")
+COMMANDS = ["warp", "surface", "apply", "info", "suspects", "reproduce"]
 SIZE = ["--image-size", "640x480"]
 
 
@@ -668,7 +669,7 @@ def commands_in_help(text):
 def test_commands_have_an_order_of_their_own(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
-    assert commands_in_help(capsys.readouterr().out) == ["warp", "surface", "apply", "reproduce"]
+    assert commands_in_help(capsys.readouterr().out) == COMMANDS
 
 
 @pytest.mark.usefixtures("commands_of_others")
@@ -677,7 +678,7 @@ def test_other_packages_have_commands_and_a_broken_one_costs_no_other(run, match
         main(["--help"])
     captured = capsys.readouterr()
     assert left.value.code == 0
-    assert commands_in_help(captured.out) == ["warp", "surface", "apply", "reproduce", "shout"]
+    assert commands_in_help(captured.out) == [*COMMANDS, "shout"]
     assert captured.err.splitlines()[0] == (
         "mexpress: no command broken. ModuleNotFoundError: No module named 'acme_that_is_gone'"
     )

@@ -513,7 +513,7 @@ def test_models_that_contradict_themselves_are_an_error(change, tmp_path):
     arrays = {"format": "mexpress model", "version": 1, "kind": "surface", **bent().to_arrays(), **change}
     with (tmp_path / "bad").open("wb") as file:
         np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
-    with pytest.raises(ValueError, match=r"Invalid path\. It must name a saved model\. Given "):
+    with pytest.raises(ValueError, match=r"Invalid path\. It must name a saved model or selection\. Given "):
         mx.load(tmp_path / "bad")
 
 

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mexpress.liftings import ThinPlateSpline
-from mexpress.models.files import load, save
+from mexpress.models.files import save
 from mexpress.models.warp import Warp
+from mexpress.selection.files import load
 from mexpress.selection.fit import fit_warp
 
 WIDTH, HEIGHT = 640, 480
@@ -408,7 +409,7 @@ def header(**changes):
 )
 def test_archives_without_a_model_are_an_error(arrays, tmp_path):
     archive(tmp_path / "bad.npz", **arrays)
-    with pytest.raises(ValueError, match=r"Invalid path\. It must name a saved model\. Given "):
+    with pytest.raises(ValueError, match=r"Invalid path\. It must name a saved model or selection\. Given "):
         load(tmp_path / "bad.npz")
 
 

@@ -1,4 +1,4 @@
-"""The command line: `mexpress warp`, `mexpress surface`, `mexpress apply`, `mexpress reproduce`.
+"""The command line: `mexpress warp`, `surface`, `apply`, `info`, `suspects`, `reproduce`.
 
 A command is a function that adds its parser and says what to run. It is found by its entry point in the group
 ``mexpress.commands``, where other packages may have theirs. Errors of the input are one line on standard error and exit
@@ -15,11 +15,12 @@ from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 
 from mexpress.cli.common import Parser, UsageError, as_typed, warn
+from mexpress.cli.completion import SHELLS, PrintCompletion
 
 __all__ = ["main"]
 
 
-_ORDER = ["warp", "surface", "apply", "reproduce"]
+_ORDER = ["warp", "surface", "apply", "info", "suspects", "reproduce"]
 """Our commands, as help lists them."""
 
 
@@ -92,6 +93,12 @@ def _failed(message: str, status: int = 2) -> int:
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser = Parser(prog="mexpress", description="How many control points should this model have?")
     parser.add_argument("--version", action="version", version=f"mexpress {version('mexpress')}")
+    parser.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        choices=SHELLS,
+        help="print what makes a shell complete commands and options, and exit",
+    )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for point in _wanted(words):
         try:

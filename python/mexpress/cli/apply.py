@@ -16,9 +16,10 @@ from mexpress.geometry import inside
 from mexpress.io import matches
 from mexpress.io.endings import is_image, is_text
 from mexpress.io.missing import DROP, KEEP
-from mexpress.models import FittedModel, files
+from mexpress.models import FittedModel
 from mexpress.models.surface import Surface
 from mexpress.models.warp import Warp
+from mexpress.selection.files import load
 
 
 def add_apply(commands: argparse._SubParsersAction[common.Parser]) -> None:
@@ -96,9 +97,9 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _load(path: Path) -> FittedModel:
-    """Load a model; the files are given in the wrong order at times."""
+    """Load a model, or that of a selection; the files are given in the wrong order at times."""
     try:
-        model = files.load(path)
+        model = common.model_of(load(path))
     except ValueError as error:
         order = "It must be a saved model, such as warp.npz, and come first; the points come second."
         given = str(error).partition(" Given ")[2].removesuffix(".")

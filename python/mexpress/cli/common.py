@@ -22,7 +22,7 @@ from mexpress.io import matches
 from mexpress.io.missing import DROP, KEEP
 from mexpress.io.sources import where
 from mexpress.io.text import STANDARD_INPUT
-from mexpress.selection import Selection
+from mexpress.selection import Selection, SurfaceSelection, WarpSelection
 from mexpress.selection.defaults import AUTO
 from mexpress.selection.fitted import FittedSelection
 from mexpress.selection.queries import IMAGE
@@ -114,13 +114,24 @@ def add_selection(parser: Parser, placements: str) -> None:
 
 def add_run(parser: Parser) -> None:
     """Add the options of every run that writes into a directory."""
-    threads = "at most so many (default: MEXPRESS_NUM_THREADS, or all cores)"
     add = parser.add_argument
     add("--seed", type=whole(0), default=0, metavar="N", help="of everything random (default: 0)")
-    add("--threads", type=whole(1), metavar="N", help=threads)
     add("--out", type=Path, required=True, metavar="DIR", help="where to write; made if it does not exist")
     add("--no-plots", dest="plots", action="store_false", help="write no PNG files")
-    add("--quiet", action="store_true", help="show no progress")
+    add_threads(parser)
+    add_json(parser)
+
+
+def add_threads(parser: Parser) -> None:
+    """Add the options of long work."""
+    threads = "at most so many (default: MEXPRESS_NUM_THREADS, or all cores)"
+    parser.add_argument("--threads", type=whole(1), metavar="N", help=threads)
+    parser.add_argument("--quiet", action="store_true", help="show no progress")
+
+
+def add_json(parser: Parser) -> None:
+    """Add the option to print for programs."""
+    parser.add_argument("--json", action="store_true", help="print JSON in place of a table")
 
 
 def add_table(parser: Parser, columns: str) -> None:
@@ -213,8 +224,15 @@ def _names(text: str) -> list[str]:
     return [name for name in re.split(r"[,\s]+", text) if name]
 
 
-def print_selection(selection: FittedSelection[Any], remark: str = "") -> None:
-    """Print the table, a remark on it, what is selected, and what was left out."""
+def model_of(loaded: Any) -> Any:
+    """Return what was loaded, or the model of a selection."""
+    if isinstance(loaded, WarpSelection):
+        return loaded.warp
+    return loaded.surface if isinstance(loaded, SurfaceSelection) else loaded
+
+
+def print_selection(selection: FittedSelection[Any], where: str, remark: str = "") -> None:
+    """Print the table, a remark on it, what is selected, and how much was left out; `where` says which data."""
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     print(reports.table(selection, width=width))
     if remark:
@@ -227,7 +245,7 @@ def print_selection(selection: FittedSelection[Any], remark: str = "") -> None:
         print(f"\n{name} selects the {selection.rival}: {name} {selection.score:.4g}; it is {score}.")
     if len(selection.left_out):
         left_out, n = len(selection.left_out), len(selection.data.points)
-        print(f"Left out as wrong: {left_out} of {n}; selection.json says which.")
+        print(f"Left out as wrong: {left_out} of {n}; {where} says which.")
 
 
 def _of_grid(selection: Selection) -> str:
@@ -308,12 +326,21 @@ def write_selection(
     arguments: argparse.Namespace, selection: FittedSelection[Any], more: dict[str, Any]
 ) -> list[str]:
     """Write what every selection has; return the names of the files."""
-    command = {name: _json(value) for name, value in vars(arguments).items() if name != "run"}
+    command = {name: _json(value) for name, value in vars(arguments).items() if name not in {"run", "json"}}
     reports.write_summary(
-        arguments.out / "selection.json", {"command": command, **reports.summary(selection), **more}
+        arguments.out / "selection.json",
+        {"command": command, "versions": reports.versions(), **selection.to_dict(), **more},
     )
     reports.write_curves(arguments.out / "curves.csv", selection)
     return ["selection.json", "curves.csv"]
+
+
+def print_end(arguments: argparse.Namespace, summary: str, written: list[str]) -> None:
+    """Say which files were written or, for programs, what the summary among them says."""
+    if arguments.json:
+        print((arguments.out / summary).read_text(encoding="utf-8"), end="")
+    else:
+        print(f"\n{arguments.out}: {', '.join(written)}")
 
 
 def _json(value: Any) -> Any:

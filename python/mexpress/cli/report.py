@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS
 from mexpress.io.matches import write_rows
 from mexpress.selection import Selection
-from mexpress.selection.fitted import FittedSelection
+from mexpress.selection.selection import plain
 
 _MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""
@@ -133,24 +132,11 @@ def _by_weight(selection: Selection) -> _Lines:
     return _Lines(["smoothing", "parameters"], heads, curves, chosen, "weights")
 
 
-def rival_scores(rival: Selection) -> dict[str, float]:
-    """Return every criterion's score of the rival that the criterion finds best of its kind; none if it has no score.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> rival_scores(mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}))
-    {'FIT': 1.0}
-    """
-    best = rival.choice(rival.criterion)
-    return {} if best is None else {name: float(scores[best[1:]]) for name, scores in rival.maps.items()}
-
-
 def _with_rivals(selection: Selection, lines: _Lines) -> _Lines:
     """Add a line for each rival, and mark what is best of all."""
     heads, curves = list(lines.heads), dict(lines.curves)
     for name, rival in selection.rivals.items():
-        scores = rival_scores(rival)
+        scores = rival.best_scores()
         heads.append([name, *("" for _ in lines.titles[1:])])
         curves = {key: np.append(curve, scores.get(key, np.nan)) for key, curve in curves.items()}
     chosen = _smallest(curves)
@@ -215,73 +201,11 @@ def write_curves(path: PathLike, selection: Selection) -> None:
     selection : Selection
         Result of a sweep.
     """
-    several, shape = len(selection.weights) > 1, (len(selection.counts), len(selection.weights))
-    head: dict[str, NDArray[Any]] = {"count": np.repeat(selection.counts, shape[1])}
-    if several:
-        parameters = np.full(shape, np.nan) if selection.parameters is None else selection.parameters
-        head |= {"smoothing": np.tile(selection.weights, shape[0]), "parameters": parameters}
-    columns = {name: np.ravel(column).tolist() for name, column in {**head, **selection.maps}.items()}
+    columns = selection.columns()
+    if len(selection.weights) == 1:
+        del columns["smoothing"], columns["parameters"]
     with Path(path).open("w", encoding="utf-8", newline="\n") as file:
-        write_rows(file, list(columns), zip(*columns.values(), strict=True))
-
-
-def summary(selection: FittedSelection[Any]) -> dict[str, Any]:
-    """Return what was selected as plain numbers, lists and dicts, None for what is undefined.
-
-    Parameters
-    ----------
-    selection : WarpSelection or SurfaceSelection
-        What was selected.
-
-    Returns
-    -------
-    dict
-        `versions`: of mexpress, numpy and Python. `criterion`: the one that selects; `count`: what it
-        selects; `score`: its value there. `selected`: by criterion, what it would select. `counts`: what was
-        tried, and `curves`: by criterion, its values there, in pixels for warps and in the data's unit for
-        surfaces; AIC and BIC have no unit. `undefined`:
-        by criterion and count, the data (from 0) whose prediction lacks the rank. `smoothing`: the selected weight of
-        the bending energy, `selected_smoothing`: by criterion; `weights`: what was tried; `open`: by count, how many
-        unknowns only the bending energy determines. `rivals`: by name, their scores by criterion; `rival`: the one that
-        is selected, or None. `left_out`: the data (from 0) that were left out as wrong. `notes`: what is doubtful, with
-        Python's arguments. With several weights also `maps`: by criterion, its values by
-        count and weight.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> source = np.random.default_rng(0).uniform(0, 100, (40, 2))
-    >>> summary(mx.select_warp(source, source**1.1, counts=[3, 4]))["counts"]
-    [3, 4]
-    """
-    several = len(selection.weights) > 1
-    maps = (
-        {"maps": {name: _plain(scores.tolist()) for name, scores in selection.maps.items()}}
-        if several
-        else {}
-    )
-    return {
-        "versions": versions(),
-        "criterion": selection.criterion,
-        "count": selection.count,
-        "smoothing": selection.smoothing,
-        "score": _plain(selection.score),
-        "selected": dict(selection.selected),
-        "selected_smoothing": dict(selection.selected_smoothing),
-        "counts": selection.counts.tolist(),
-        "weights": selection.weights.tolist(),
-        "rival": selection.rival,
-        "rivals": {name: _plain(rival_scores(rival)) for name, rival in selection.rivals.items()},
-        "left_out": selection.left_out.tolist(),
-        "notes": list(selection.notes),
-        "open": {str(count): unknowns for count, unknowns in selection.open.items()},
-        "curves": {name: _plain(curve.tolist()) for name, curve in selection.curves.items()},
-        "undefined": {
-            name: {str(count): data.tolist() for count, data in by_count.items()}
-            for name, by_count in selection.undefined.items()
-        },
-        **maps,
-    }
+        write_rows(file, list(columns), zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
 def versions() -> dict[str, str]:
@@ -295,25 +219,29 @@ def versions() -> dict[str, str]:
     return {"mexpress": version("mexpress"), "numpy": np.__version__, "python": platform.python_version()}
 
 
-def _plain(value: Any) -> Any:
-    """JSON knows neither NaN nor infinity."""
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def as_json(content: Mapping[str, Any]) -> str:
+    """Return a mapping as JSON, each key on a line. NaN and infinities, which JSON does not know, become null.
+
+    Examples
+    --------
+    >>> print(as_json({"score": 1.5, "scores": [1.0, math.nan]}))
+    {
+      "score": 1.5,
+      "scores": [1.0, null]
+    }
+    """
+    lines = (f"  {json.dumps(key)}: {json.dumps(plain(content[key]), allow_nan=False)}" for key in content)
+    return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def write_summary(path: PathLike, content: Mapping[str, Any]) -> None:
-    """Write a summary as JSON, each key on a line.
+    """Write a summary as JSON, see `as_json`.
 
     Parameters
     ----------
     path : str or path
         Name of the file.
     content : mapping
-        What `summary` returns, and more. NaN and infinities, which JSON does not know, become null.
+        What `Selection.to_dict` returns, and more.
     """
-    plain = _plain(content)
-    lines = (f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in plain.items())
-    Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    Path(path).write_text(as_json(content) + "\n", encoding="utf-8")

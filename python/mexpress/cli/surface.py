@@ -117,7 +117,8 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     selection = replace(selection, axes=cloud.axes)
     fit = _fit(selection)
-    _print(selection, cloud, unit, fit["residuals"])
+    if not arguments.json:
+        _print(selection, cloud, unit, fit["residuals"])
     common.warn_of_notes(selection)
     more = {
         "n_data": len(cloud.points),
@@ -132,7 +133,7 @@ def _run(arguments: argparse.Namespace) -> None:
     selection.surface.save(arguments.out / "surface.npz")
     written += ["surface.npz", *_write_meshes(arguments.out, selection, cloud)]
     written += common.draw(arguments, _plots(selection, cloud, unit))
-    print(f"\n{arguments.out}: {', '.join(written)}")
+    common.print_end(arguments, "selection.json", written)
 
 
 def _image(cloud: Cloud) -> tuple[float, ...]:
@@ -171,7 +172,7 @@ def _print(selection: SurfaceSelection, cloud: Cloud, unit: str | None, residual
         f"{len(cloud.points)}{total} {kind}{missing}, surfaces with {counts[0]} to {counts[-1]} control points; "
         f"{unit or 'unit of the data'}; * smallest\n"
     )
-    common.print_selection(selection)
+    common.print_selection(selection, "selection.json")
     sizes = common.sizes_text(residuals)
     print(f"Residuals of the surface, in {unit or 'the unit of the data'}: {sizes}.")
 

@@ -82,12 +82,14 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     health = _health(selection)
     n_missing = int((~given.known).sum())
-    _print(selection, health, n_missing)
+    if not arguments.json:
+        _print(selection, health, n_missing)
+    common.warn_of_notes(selection)
     more = {"n_matches": len(given.source), "n_missing": n_missing, "image_size": size, "warp": health}
     written = common.write_selection(arguments, selection, more)
     selection.warp.save(arguments.out / "warp.npz")
     written += ["warp.npz", *common.draw(arguments, _plots(selection, images))]
-    print(f"\n{arguments.out}: {', '.join(written)}")
+    common.print_end(arguments, "selection.json", written)
 
 
 def _images(arguments: argparse.Namespace) -> list[NDArray[Any]]:
@@ -128,10 +130,9 @@ def _print(selection: WarpSelection, health: dict[str, Any], n_missing: int) -> 
         "* smallest\n"
     )
     remark = "PRESS averages over the rows of the design, the others over the matches."
-    common.print_selection(selection, remark if "PRESS" in selection.curves else "")
+    common.print_selection(selection, "selection.json", remark if "PRESS" in selection.curves else "")
     errors = common.sizes_text(health["transfer_error"])
     print(f"Distance of the warped source points to the target points, in pixels: {errors}.")
-    common.warn_of_notes(selection)
 
 
 def _plots(selection: WarpSelection, images: list[NDArray[Any]]) -> dict[str, Callable[[Path], Any]]:

@@ -58,10 +58,11 @@ def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     summary = {"versions": reports.versions(), "command": command, **outcome.summary}
     reports.write_summary(options.out / name, summary)
     try:
-        print(outcome.report, flush=True)
+        if not arguments.json:
+            print(outcome.report, flush=True)
     finally:  # though the reader, such as head, may have seen enough
         drawn = _drawn(outcome, options) if options.plots else []
-    print(f"\n{options.out}: {', '.join([name, *outcome.files, *drawn])}")
+    common.print_end(arguments, name, [name, *outcome.files, *drawn])
 
 
 def _drawn(outcome: Outcome, options: Options) -> list[str]:

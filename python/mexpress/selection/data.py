@@ -7,11 +7,12 @@ and surfaces differ in nothing else.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -71,6 +72,17 @@ class Matches:
         check_extent(target, "target")
         size, shares = check.image_size(image_size), _weights(weights, len(source))
         return cls(source, target, shares, size)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the matches, by name."""
+        size = {} if self.image_size is None else {"image_size": np.array(self.image_size)}
+        return {"source": self.source, "target": self.target, **size, **_named(self.weights)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Matches:
+        """Check the arrays of `to_arrays`; other names are ignored."""
+        size, weights = arrays.get("image_size"), arrays.get("weights")
+        return cls.of(arrays["source"], arrays["target"], size, weights, incomplete.DROP)
 
     def subset(self, some: Integers) -> Matches:
         """Return some of the matches, with the region that they cover."""
@@ -154,6 +166,15 @@ class Samples:
         points = check.points(points, "points").copy()
         values, shares = check.columns(values, "values", len(points)).copy(), _weights(weights, len(points))
         return cls(points, values, shares)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the data, by name."""
+        return {"points": self.points, "values": self.values, **_named(self.weights)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Samples:
+        """Check the arrays of `to_arrays`; other names are ignored."""
+        return cls.of(arrays["points"], arrays["values"], arrays.get("weights"), incomplete.DROP)
 
     def subset(self, some: Integers) -> Samples:
         """Return some of the data, with the region that they cover."""
@@ -245,6 +266,11 @@ def _weights(weights: ArrayLike | None, n: int) -> Floats | None:
 
 def _present(points: Floats, weights: Floats | None) -> Floats:
     return points if weights is None else points[weights > 0]
+
+
+def _named(weights: Floats | None) -> dict[str, NDArray[Any]]:
+    """Return the weights in a mapping of arrays; none if these are 1 each."""
+    return {} if weights is None else {"weights": weights}
 
 
 def _part(weights: Floats | None, some: Integers) -> Floats | None:

@@ -8,10 +8,10 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -19,10 +19,11 @@ from mexpress.caching import cached_property
 from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
 from mexpress.leastsquares.model import LeastSquares
-from mexpress.models import CardinalBasis, Design, FittedModel, ModelT
+from mexpress.models import CardinalBasis, Design, FittedModel, ModelT, files
 from mexpress.progress import Show, hidden
 from mexpress.radii import RadiusCurve, radius_curve
 from mexpress.schemes import Places, Scheme
+from mexpress.selection import saved
 from mexpress.selection.candidates import CriteriaRequest
 from mexpress.selection.data import part, present
 from mexpress.selection.log import logged
@@ -66,7 +67,6 @@ class FittedSelection(Selection, Generic[ModelT]):
     """A selection with its data and its selected model: a `WarpSelection` or a `SurfaceSelection`."""
 
     data: Any
-    placement: str = field(kw_only=True)
     left_out: Integers = field(kw_only=True, default_factory=lambda: np.zeros(0, dtype=np.int64))
     searched: bool = field(kw_only=True, default=False)
     """Whether wrong data were searched for."""
@@ -80,16 +80,27 @@ class FittedSelection(Selection, Generic[ModelT]):
     schemes: Mapping[str, Scheme] = field(kw_only=True, default_factory=dict)
     """Schemes of the user's own, over all data."""
 
+    kind: ClassVar[str]
+    """What files call such a selection."""
+
     _unit: ClassVar[str | None] = None
     """Unit of the values, if it is known."""
 
     _most_flexible_count: ClassVar[int]
     """Largest number of control points in the search for suspects."""
 
+    def __init_subclass__(cls) -> None:
+        files.KINDS[cls.kind] = cls
+
     @property
     @abstractmethod
     def _model(self) -> ModelT:
         """The selected warp or surface."""
+
+    @property
+    def placement(self) -> str:
+        """Placement of the control points, as for `select_warp` and `select_surface`."""
+        return self.question.placement
 
     @cached_property
     def kept(self) -> Integers:
@@ -122,6 +133,83 @@ class FittedSelection(Selection, Generic[ModelT]):
     def again(self, some: Integers) -> Any:
         """Return the selection for some of the data, given their indices, with the same settings."""
         return _select_part(self.data, self.question, self.schemes, some)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was selected as plain values, see `Selection.to_dict`; also ``left_out`` and ``notes``.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> source = np.random.default_rng(0).uniform(0, 100, (40, 2))
+        >>> mx.select_warp(source, source**1.1, counts=[3, 4]).to_dict()["counts"]
+        [3, 4]
+        """
+        return {**super().to_dict(), "left_out": self.left_out.tolist(), "notes": list(self.notes)}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the selection to a file for `mexpress.load`: its data, its models, all scores, and what was asked.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file; no ending is added.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; an existing file is then unchanged.
+
+        Notes
+        -----
+        What is loaded does all that this selection does. Only a seed that is a generator is not saved: where something
+        random is repeated, as `suspects` may, it is drawn afresh.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> import tempfile
+        >>> source = np.random.default_rng(0).uniform(0, 100, (20, 2))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     mx.select_warp(source, 2 * source, counts=[3, 9], smoothing=0).save(f"{folder}/selection.npz")
+        ...     mx.load(f"{folder}/selection.npz").counts
+        array([3, 9])
+        """
+        files.save(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the selection, by name."""
+        content = {
+            "scores": saved.scores_to_plain(self),
+            "left_out": self.left_out.tolist(),
+            "searched": self.searched,
+            "question": saved.settings(self.question),
+            "schemes": {name: scheme.n_data for name, scheme in self.schemes.items()},
+        }
+        return {
+            "selection": saved.to_text(content),
+            **self.data.to_arrays(),
+            **saved.models_to_arrays(self._models),
+            **saved.schemes_to_arrays(self.schemes),
+        }
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a selection from the arrays of `to_arrays`; other names are ignored."""
+
+    def _whole(self) -> Self:
+        """Return the selection, which was read, if it has the model that it selects."""
+        if self.count not in self._models:
+            rule = "Its models must have that with the selected number of control points."
+            check.refuse("selection", rule, f"{self.count} of {', '.join(map(str, self._models))}")
+        return self
+
+    @property
+    @abstractmethod
+    def _models(self) -> Mapping[int, ModelT]:
+        """The models that are kept, by number of control points."""
 
     @abstractmethod
     def _design(self, basis: CardinalBasis) -> Design[ModelT]:
@@ -323,6 +411,10 @@ class Question(Protocol[SelectionT_co]):
     @property
     def threads(self) -> int | None:
         """Largest number of threads."""
+
+    @property
+    def placement(self) -> str:
+        """Placement of the control points."""
 
     def select(
         self, data: Any, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -17,6 +18,7 @@ from mexpress.criteria import UNITLESS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -220,6 +222,130 @@ class Selection:
         scores = self.maps[self.criterion][k]
         return None if np.isnan(scores).all() else int(np.nanargmin(scores))
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return count, smoothing, effective parameters and every score of the models, each (k w,), without rivals.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).columns()["FIT"]
+        array([2., 1.])
+        """
+        shape = len(self.counts), len(self.weights)
+        parameters = np.full(shape, np.nan) if self.parameters is None else self.parameters
+        return {
+            "count": np.repeat(self.counts, shape[1]),
+            "smoothing": np.tile(self.weights, shape[0]),
+            "parameters": parameters.ravel(),
+            **{name: scores.ravel() for name, scores in self.maps.items()},
+        }
+
+    def to_frame(self) -> DataFrame:
+        """Return all models that were tried as a table of pandas (extra ``pandas``).
+
+        Returns
+        -------
+        DataFrame
+            A row for each count and weight, and for each of the rivals'. ``rival`` is the rival's name, missing for
+            other models; ``count``, ``smoothing`` and ``parameters`` are the number of control points, the weight of
+            the bending energy and the effective number of parameters; then every criterion has a column, NaN where
+            undefined; ``selected`` is True for the selected model.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> maps = {"GCV": np.array([[4.0, 3.5], [3.0, 5.0]])}
+        >>> mx.Selection("GCV", np.array([3, 4]), maps, {}, weights=np.array([0.0, 1.0])).to_frame()
+          rival  count  smoothing  parameters  GCV  selected
+        0  None      3        0.0         NaN  4.0     False
+        1  None      3        1.0         NaN  3.5     False
+        2  None      4        0.0         NaN  3.0      True
+        3  None      4        1.0         NaN  5.0     False
+        """
+        try:
+            import pandas as pd  # noqa: PLC0415 - an extra
+        except ImportError as error:
+            raise ImportError("Tables of pandas need it: pip install 'mexpress[pandas]'") from error
+
+        names = [None, *self.rivals]
+        tables = [entrant.columns() for entrant in (self, *self.rivals.values())]
+        sizes = [len(table["count"]) for table in tables]
+        rival = [name for name, size in zip(names, sizes, strict=True) for _ in range(size)]
+        columns = {
+            name: np.concatenate(
+                [table.get(name, np.full(size, np.nan)) for table, size in zip(tables, sizes, strict=True)]
+            )
+            for name in tables[0]
+        }
+        k, w = self.winner.place
+        selected = np.arange(sum(sizes)) == rival.index(self.rival) + k * len(self.winner.weights) + w
+        return pd.DataFrame({"rival": pd.Series(rival, dtype=object), **columns, "selected": selected})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was selected as plain numbers, texts, lists and dictionaries, as JSON has them.
+
+        Returns
+        -------
+        dict
+            ``criterion`` selects; ``score`` is its value for the selected model; ``count``, ``smoothing``,
+            ``effective_parameters`` and ``rival`` say which that is. ``selected`` and ``selected_smoothing`` have what
+            each criterion would select. ``counts`` and ``weights`` are what was tried; ``curves`` has the scores by
+            criterion and count, each at its best weight, and ``maps``, if there are several weights, by criterion,
+            count and weight. ``rivals`` has the scores of each rival by criterion. ``open`` is the attribute of this
+            name, and ``undefined`` too, by criterion and count. None stands for what is not defined.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> maps = {"FIT": np.array([3.0, 2.0]), "ER10": np.array([4.0, np.nan])}
+        >>> plain = mx.Selection("ER10", np.array([3, 4]), maps, {"ER10": {4: np.array([17])}}).to_dict()
+        >>> plain["curves"], plain["undefined"]
+        ({'FIT': [3.0, 2.0], 'ER10': [4.0, None]}, {'ER10': {'4': [17]}})
+        """
+        several = {"maps": {name: scores.tolist() for name, scores in self.maps.items()}}
+        content: dict[str, Any] = {
+            "criterion": self.criterion,
+            "count": self.count,
+            "smoothing": self.smoothing,
+            "effective_parameters": self.effective_parameters,
+            "score": self.score,
+            "selected": self.selected,
+            "selected_smoothing": self.selected_smoothing,
+            "counts": self.counts.tolist(),
+            "weights": self.weights.tolist(),
+            "rival": self.rival,
+            "rivals": {name: rival.best_scores() for name, rival in self.rivals.items()},
+            "open": {str(count): unknowns for count, unknowns in self.open.items()},
+            "curves": {name: curve.tolist() for name, curve in self.curves.items()},
+            "undefined": {
+                name: {str(count): data.tolist() for count, data in by_count.items()}
+                for name, by_count in self.undefined.items()
+            },
+            **(several if len(self.weights) > 1 else {}),
+        }
+        return {name: plain(value) for name, value in content.items()}
+
+    def best_scores(self) -> dict[str, float]:
+        """Return every criterion's score of the model that the criterion selects; none if it has no score.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).best_scores()
+        {'FIT': 1.0}
+        """
+        best = self.choice(self.criterion)
+        return {} if best is None else {name: float(scores[best[1:]]) for name, scores in self.maps.items()}
+
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Plot the criteria against the number of control points, and the weight if there are several (extra ``plot``).
 
@@ -238,6 +364,21 @@ class Selection:
         from mexpress.plotting import plot_selection  # noqa: PLC0415 - an extra
 
         return plot_selection(self, path, ax=ax)
+
+
+def plain(value: Any) -> Any:
+    """Return numbers, texts, lists and mappings as JSON has them: it knows neither NaN nor infinity, but None.
+
+    Examples
+    --------
+    >>> plain({"a": (1.0, math.inf)})
+    {'a': [1.0, None]}
+    """
+    if isinstance(value, Mapping):
+        return {name: plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def strongest(entrants: Sequence[Selection], name: str) -> tuple[Selection, int, int] | None:

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
@@ -17,7 +17,7 @@ from mexpress.models import CardinalBasis, Design, Surface
 from mexpress.placement import farthest_order, residual_order
 from mexpress.progress import Show, shown
 from mexpress.schemes import Scheme
-from mexpress.selection import rivals
+from mexpress.selection import rivals, saved
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement
 from mexpress.selection.data import Samples, present
 from mexpress.selection.defaults import AUTO, is_automatic, surface_defaults
@@ -45,8 +45,6 @@ class SurfaceSelection(FittedSelection[Surface]):
     control_points : (l, 2) array
         Control points of the largest model, in their order. A model of k control points has the first k, unless each
         count has its own.
-    placement : str
-        Placement of the control points, as for `select_surface`.
 
     Examples
     --------
@@ -62,6 +60,7 @@ class SurfaceSelection(FittedSelection[Surface]):
     data: Samples
     surface: Surface
     control_points: Floats
+    kind: ClassVar[str] = "surface selection"
     _most_flexible_count: ClassVar[int] = 100
 
     @property
@@ -77,6 +76,23 @@ class SurfaceSelection(FittedSelection[Surface]):
     @property
     def _model(self) -> Surface:
         return self.surface
+
+    @property
+    def _models(self) -> dict[int, Surface]:
+        return {len(self.surface.control_points): self.surface}
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that describe the selection, by name."""
+        return {**super().to_arrays(), "control_points": self.control_points}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a selection from the arrays of `to_arrays`; other names are ignored."""
+        data = Samples.from_arrays(arrays)
+        fields = saved.fields_of(arrays, data, SurfaceQuestion.of)
+        (surface,) = saved.models_of(arrays, Surface, data, fields["left_out"]).values()
+        control_points = check.points(arrays["control_points"], "control_points")
+        return cls(**fields, surface=surface, control_points=control_points)._whole()
 
     def _design(self, basis: CardinalBasis) -> Design[Surface]:
         data: Samples = self._kept_data
@@ -287,23 +303,8 @@ def select_surface(
     """
     data = Samples.of(points, values, weights, missing)
     check.flag(robust, "robust")
-    functions = lifting_named(lifting)
-    usual = surface_defaults(len(present(data)), smoothing)
-    choices = "residual", "nested", "lloyd"
-    spread = checked_placement(placement, functions, choices, usual.placement)
-    if min_distance is not None and spread != "residual":
-        rule = 'It applies to placement="residual" alone, which must then be given, or smoothing=0.'
-        check.refuse("min_distance", rule, f'{check.describe(min_distance)} with placement "{spread}"')
-    question = SurfaceQuestion(
-        usual.criterion if criterion is None else criterion,
-        functions,
-        None if max_count is None else check.count(max_count, "max_count", 3),
-        min_distance,
-        spread,
-        smoothing,
-        queries,
-        seed,
-        threads,
+    question = SurfaceQuestion.of(
+        data, criterion, lifting, max_count, min_distance, placement, smoothing, queries, seed, threads
     )
     found = select_of(data, question, criteria, robust, shown(progress, "surface"))
     return replace(found, axes=check.axes_of(points))
@@ -320,8 +321,34 @@ class SurfaceQuestion:
     placement: str
     smoothing: float | ArrayLike | str
     queries: ArrayLike | str | None
-    seed: int
+    seed: Any
     threads: int | None
+
+    @classmethod
+    def of(
+        cls,
+        data: Samples,
+        criterion: str | None,
+        lifting: str,
+        max_count: int | None,
+        min_distance: float | None,
+        placement: str | None,
+        smoothing: float | ArrayLike | str,
+        queries: ArrayLike | str | None,
+        seed: Any,
+        threads: int | None = None,
+    ) -> SurfaceQuestion:
+        """Check what `select_surface` is asked of data."""
+        functions = lifting_named(lifting)
+        usual = surface_defaults(len(present(data)), smoothing)
+        choices = "residual", "nested", "lloyd"
+        spread = checked_placement(placement, functions, choices, usual.placement)
+        if min_distance is not None and spread != "residual":
+            rule = 'It applies to placement="residual" alone, which must then be given, or smoothing=0.'
+            check.refuse("min_distance", rule, f'{check.describe(min_distance)} with placement "{spread}"')
+        largest = None if max_count is None else check.count(max_count, "max_count", 3)
+        chosen = usual.criterion if criterion is None else criterion
+        return cls(chosen, functions, largest, min_distance, spread, smoothing, queries, seed, threads)
 
     def select(
         self, data: Samples, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
@@ -342,7 +369,6 @@ class SurfaceQuestion:
             data=data,
             surface=outcome.model,
             control_points=outcome.model.control_points if ordered is None else ordered,
-            placement=self.placement,
             question=self,
         )
 

@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -18,7 +18,7 @@ from mexpress.models import CardinalBasis, Design, Warp
 from mexpress.placement import farthest_order
 from mexpress.progress import Show, shown
 from mexpress.schemes import Scheme
-from mexpress.selection import rivals
+from mexpress.selection import rivals, saved
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_counts, checked_placement
 from mexpress.selection.data import Matches, present
 from mexpress.selection.defaults import AUTO, is_automatic, warp_defaults
@@ -45,8 +45,6 @@ class WarpSelection(FittedSelection[Warp]):
     warps : dict of int to Warp
         The warp of every count that the data determine, at the criterion's best weight for the count; among them the
         selected one.
-    placement : str
-        Placement of the control points, as for `select_warp`.
 
     Examples
     --------
@@ -62,6 +60,7 @@ class WarpSelection(FittedSelection[Warp]):
 
     data: Matches
     warps: dict[int, Warp]
+    kind: ClassVar[str] = "warp selection"
     _unit: ClassVar[str | None] = "pixels of the target image"
     _most_flexible_count: ClassVar[int] = 30
 
@@ -88,6 +87,17 @@ class WarpSelection(FittedSelection[Warp]):
     @property
     def _model(self) -> Warp:
         return self.warp
+
+    @property
+    def _models(self) -> dict[int, Warp]:
+        return self.warps
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild a selection from the arrays of `to_arrays`; other names are ignored."""
+        matches = Matches.from_arrays(arrays)
+        fields = saved.fields_of(arrays, matches, WarpQuestion.of)
+        return cls(**fields, warps=saved.models_of(arrays, Warp, matches, fields["left_out"]))._whole()
 
     def _design(self, basis: CardinalBasis) -> Design[Warp]:
         matches: Matches = self._kept_data
@@ -252,24 +262,9 @@ def select_warp(
     (1, 2)
     """
     matches = Matches.of(source, target, image_size, weights, missing)
-    n = len(present(matches))
-    wished = checked_counts(counts, len(matches.source), "matches")
-    for name, flag in (("fractional", fractional), ("robust", robust)):
-        check.flag(flag, name)
-    functions = lifting_named(lifting)
-    several = several_weights(smoothing)
-    usual = warp_defaults(n, smoothing, fractional, several)
-    spread = checked_placement(placement, functions, ("lloyd", "nested"), usual.placement)
-    question = WarpQuestion(
-        usual.criterion if criterion is None else criterion,
-        functions,
-        fractional,
-        wished,
-        spread,
-        smoothing,
-        queries,
-        seed,
-        threads,
+    check.flag(robust, "robust")
+    question = WarpQuestion.of(
+        matches, criterion, lifting, fractional, counts, placement, smoothing, queries, seed, threads
     )
     return select_of(matches, question, criteria, robust, shown(progress, "warp"))
 
@@ -285,8 +280,32 @@ class WarpQuestion:
     placement: str
     smoothing: float | ArrayLike | str
     queries: ArrayLike | str | None
-    seed: int
+    seed: Any
     threads: int | None
+
+    @classmethod
+    def of(
+        cls,
+        matches: Matches,
+        criterion: str | None,
+        lifting: str,
+        fractional: bool,
+        counts: ArrayLike | None,
+        placement: str | None,
+        smoothing: float | ArrayLike | str,
+        queries: ArrayLike | str | None,
+        seed: Any,
+        threads: int | None = None,
+    ) -> WarpQuestion:
+        """Check what `select_warp` is asked of matches."""
+        wished = checked_counts(counts, len(matches.source), "matches")
+        check.flag(fractional, "fractional")
+        functions = lifting_named(lifting)
+        several = several_weights(smoothing)
+        usual = warp_defaults(len(present(matches)), smoothing, fractional, several)
+        spread = checked_placement(placement, functions, ("lloyd", "nested"), usual.placement)
+        chosen = usual.criterion if criterion is None else criterion
+        return cls(chosen, functions, fractional, wished, spread, smoothing, queries, seed, threads)
 
     def select(
         self, matches: Matches, criteria: Sequence[str] | Mapping[str, Scheme] | None, show: Show
@@ -304,9 +323,7 @@ class WarpQuestion:
         outcome = rivals.select(grid, plain, bridge, request, show)
         warps = outcome.sweep.best_models(outcome.selection)
         warps[outcome.selection.count] = outcome.model
-        return WarpSelection(
-            **vars(outcome.selection), data=matches, warps=warps, placement=self.placement, question=self
-        )
+        return WarpSelection(**vars(outcome.selection), data=matches, warps=warps, question=self)
 
     @property
     def _automatic(self) -> bool:
