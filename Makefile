@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-rest test-all nightly check hooks bench mutants rooms docs clean
+.PHONY: help demo test test-rest test-all nightly check notice licences hooks bench mutants rooms docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -35,6 +35,14 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types, imports and the 
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
 	$(BIN)/python -m pytest tests/unit/test_architecture.py
+	$(BIN)/python release/notice.py --check
+
+notice: $(VENV)/pip ## Write the licences of the crates that a wheel holds anew: NOTICE
+	$(BIN)/python release/notice.py
+
+licences: ## Check that all crates are under licences that deny.toml allows
+	cargo deny --version >/dev/null 2>&1 || cargo install cargo-deny --locked
+	cargo deny --locked check licenses sources
 
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
