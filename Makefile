@@ -35,6 +35,7 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types, imports and the 
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
 	$(BIN)/python -m pytest tests/unit/test_architecture.py
+	$(BIN)/zizmor --offline --quiet .github
 	$(BIN)/python release/notice.py --check
 
 # maturin asks the first python3 of PATH for zig.
