@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-rest test-all nightly check hooks bench mutants rooms docs clean
+.PHONY: help demo test test-rest test-all nightly check wheel sdist notice licences hooks bench mutants rooms docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -35,6 +35,31 @@ check: $(VENV)/check $(VENV)/test ## Check format, lint, types, imports and the 
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest mexpress._core
 	$(BIN)/python -m pytest tests/unit/test_architecture.py
+	$(BIN)/zizmor --offline --quiet .github
+	$(BIN)/python release/notice.py --check
+
+# maturin asks the first python3 of PATH for zig.
+wheel: $(VENV)/release ## Build the wheel for Linux, and use it in empty environments
+	rm -f dist/*.whl
+	PATH="$(CURDIR)/$(BIN):$$PATH" maturin build --release --locked --zig --compatibility manylinux_2_17 --out dist
+	$(BIN)/abi3audit --strict --summary dist/*.whl
+	$(BIN)/auditwheel show dist/*.whl
+	$(BIN)/twine check --strict dist/*.whl
+	$(BIN)/python release/install.py dist/*.whl
+
+# What is built of an sdist shares the crates that it depends on with other builds.
+sdist: $(VENV)/release ## Pack the sources, build the package from them alone, and use it in empty environments
+	rm -f dist/*.tar.gz
+	$(BIN)/maturin sdist --out dist
+	$(BIN)/twine check --strict dist/*.tar.gz
+	CARGO_TARGET_DIR=$(CURDIR)/target $(BIN)/python release/install.py dist/*.tar.gz
+
+notice: $(VENV)/pip ## Write the licences of the crates that a wheel holds anew: NOTICE
+	$(BIN)/python release/notice.py
+
+licences: ## Check that all crates are under licences that deny.toml allows
+	cargo deny --version >/dev/null 2>&1 || cargo install cargo-deny --locked
+	cargo deny --locked check licenses sources
 
 bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
@@ -73,6 +98,6 @@ $(VENV)/built: $(VENV)/pip $(RUST)
 	@touch $@
 
 # A stamp for each group of tools, installed when first wanted.
-$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench: $(VENV)/built
+$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench $(VENV)/release: $(VENV)/built
 	$(BIN)/python -m pip install --quiet --group $(notdir $@)
 	@touch $@
