@@ -5,6 +5,7 @@ import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from inputs import refused
 
@@ -47,6 +48,7 @@ MADE = {
     "a scheme of one's own": lambda: mx.select_warp(SOURCE, TARGET, "near/..", {"near/..": NEAR}, **PAPER),
     "a generator": lambda: mx.select_warp(SOURCE, TARGET, "KF05", seed=np.random.default_rng(0), **PAPER),
     "surface": lambda: mx.select_surface(SOURCE, DEPTH),
+    "columns that are called": lambda: mx.select_surface(pd.DataFrame(SOURCE, columns=["lon", "lat"]), DEPTH),
     "points in space": lambda: mx.select_surface(
         SOURCE, np.column_stack([TARGET, DEPTH]), queries=SOURCE[:9]
     ),
@@ -84,7 +86,7 @@ def test_what_is_loaded_is_what_was_saved(pair):
         np.testing.assert_array_equal(loaded.maps[name], live.maps[name], strict=True)
     for name in ("counts", "weights", "parameters", "left_out", "kept"):
         same_data(getattr(loaded, name), getattr(live, name))
-    for name in ("slack", "open", "searched", "placement", "selected_rival", "score"):
+    for name in ("axes", "slack", "open", "searched", "placement", "selected_rival", "score"):
         assert getattr(loaded, name) == getattr(live, name)
     same_data(loaded.data.points, live.data.points)
     same_data(loaded.data.values, live.data.values)

@@ -184,6 +184,7 @@ class FittedSelection(Selection, Generic[ModelT]):
             "scores": saved.scores_to_plain(self),
             "left_out": self.left_out.tolist(),
             "searched": self.searched,
+            "axes": self.axes,
             "question": saved.settings(self.question),
             "schemes": {name: scheme.n_data for name, scheme in self.schemes.items()},
         }

@@ -153,9 +153,18 @@ def fields_of(arrays: Arrays, data: Data, ask: Callable[..., Any]) -> dict[str, 
         "data": data,
         "left_out": check.indices(content["left_out"], "left_out", n),
         "searched": check.flag(content["searched"], "searched"),
+        "axes": _axes(content["axes"]),
         "question": ask(data, **mapping(content["question"], "question")),
         "schemes": schemes_of(arrays, content["schemes"]),
     }
+
+
+def _axes(names: Any) -> tuple[str, str] | None:
+    """Return what x and y are called, if they were columns."""
+    if names is None:
+        return None
+    x, y = check.items(names, "axes", "It must be two names.")
+    return str(x), str(y)
 
 
 def models_to_arrays(models: Mapping[int, Model]) -> dict[str, NDArray[Any]]:
