@@ -30,7 +30,7 @@ ROOMS = {
     "simulation": Room(1, 5, "sheets and cameras"),
     "cli": Room(2, 5, "the command line"),
     "batch": Room(3, 5, "many problems"),
-    "sklearn": Room(4, 5, "estimators"),
+    "sklearn": Room(0, 5, "estimators"),
     "selection": Room(2, 4, "tries and chooses", (1, 9)),
     "plotting": Room(4, 4, "figures"),
     "suspicion": Room(0, 3, "datum by datum"),
