@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.criteria import Scorer
@@ -72,9 +73,6 @@ class FittedSelection(Selection, Generic[ModelT]):
     again: Callable[[Integers], Any] = field(kw_only=True, default=None)  # type: ignore[assignment]
     """Returns the selection for some of the data, given their indices, with the same settings."""
 
-    _unit: ClassVar[str | None] = None
-    """Unit of the values, if it is known."""
-
     _most_flexible_count: ClassVar[int]
     """Largest number of control points in the search for suspects."""
 
@@ -82,6 +80,13 @@ class FittedSelection(Selection, Generic[ModelT]):
     @abstractmethod
     def _model(self) -> ModelT:
         """The selected warp or surface."""
+
+    def _parts(self) -> list[str]:
+        fitted = {
+            "model": repr(self._model),
+            "data": f"{len(self.kept)} in the fit, {len(self.left_out)} left out",
+        }
+        return [notebook.facts(fitted), *super()._parts(), notebook.notes(self.notes)]
 
     @cached_property
     def kept(self) -> Integers:
