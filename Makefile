@@ -10,7 +10,7 @@ RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/nu
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 
-demo: $(VENV)/demo ## Register a stereo pair, and fit a surface to terrain; see demo-output/
+demo: $(VENV)/demo ## Flatten the photo of a bent page, and fit a surface to terrain; see demo-output/
 	$(BIN)/python examples/demo_warp.py
 	$(BIN)/python examples/demo_surface.py
 
