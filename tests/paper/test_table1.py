@@ -507,7 +507,7 @@ def test_a_reader_that_has_seen_enough_costs_no_file(trial, tmp_path, monkeypatc
 
     monkeypatch.setattr(sys, "stdout", Closed())
     arguments = argparse.Namespace(
-        data=None, out=tmp_path, quick=False, seed=0, threads=None, quiet=True, plots=True
+        data=None, out=tmp_path, quick=False, seed=0, threads=None, quiet=True, plots=True, json=False
     )
     with pytest.raises(BrokenPipeError):
         command._run(command.EXPERIMENTS["plain"], arguments)

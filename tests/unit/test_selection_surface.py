@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 from designs import nested_surface_design
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from refits import Problem
 
@@ -156,6 +156,7 @@ def test_curves_are_those_of_refits_by_lstsq(shape):
             assert selection.curves[name][k] == pytest.approx(value, rel=1e-9), name
 
 
+@example(seed=1188, n=15, gridded=True)  # a pair whose lambda_min(M) of 1.5e-7 is estimated three times too large
 @given(seed=st.integers(0, 10**6), n=st.integers(5, 40), gridded=st.booleans())
 def test_any_data(seed, n, gridded):
     rng = np.random.default_rng(seed)

@@ -11,8 +11,8 @@ use crate::holdout::residuals::MOST_CARRIED;
 use crate::holdout::walk::{Ground, Question, Visit, Workspace};
 use crate::pool::Pool;
 
-/// Below this lambda_min(M) a pair needs twice the digits.
-const PLAIN_MIN_EIGENVALUE: f64 = 2e-7;
+/// Below this estimate of lambda_min(M), which may be several times too large, a pair needs twice the digits.
+const PLAIN_MIN_EIGENVALUE: f64 = 1e-6;
 
 /// Validated rows solved for together.
 const CARRIED_ROWS: usize = 64;
