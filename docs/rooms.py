@@ -44,7 +44,7 @@ ROOMS = {
     "schemes": Room(1, 1, "what is held out", (6,)),
     "placement": Room(3, 1, "control points", (2,)),
 }
-GROUND = ["_validation", "geometry", "index_sets", "progress"]
+GROUND = ["_validation", "geometry", "index_sets", "notebook", "progress"]
 RUST = ["evaluate", "fit", "holdout", "near", "place"]
 NOT_DRAWN = ["__init__", "__main__", "versions"]
 

@@ -139,6 +139,15 @@ def test_many_data_are_an_image_of_their_means():
     assert np.abs(error).max() < 6  # two cells
 
 
+@pytest.mark.parametrize(("count", "data", "marked"), [(40, 300, True), (80, 300, False), (80, 2500, True)])
+def test_many_control_points_do_not_hide_residuals(count, data, marked):
+    points = RNG.uniform(0, 1, (data, 2))
+    surface = mx.fit_surface(points, points[:, 0], points[:count], smoothing=1e-3)
+    for ax in (None, Figure().subplots()):
+        lines = plotting.plot_residuals(surface, points, points[:, 0], ax=ax).axes[0].lines
+        assert [line.get_label() for line in lines] == [f"{count} control points"] * marked
+
+
 @pytest.mark.parametrize("width", [2, 3, 4])
 def test_residuals_of_several_values_are_distances(width, tmp_path):
     values = RNG.normal(size=(300, width))

@@ -12,11 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats
 from mexpress.geometry import Region
 from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.models import files
 from mexpress.models.observations import Observations
+
+_GRID_SAMPLES, _GRID_EVERY = 61, 5
+"""Samples along a line of the grid in a small picture, and which of them have a line across."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,6 +75,39 @@ class Model(ABC):
     def __reduce__(self) -> tuple[Any, ...]:
         # Caches are not pickled, and unpickled arrays are read-only again.
         return type(self), (self.lifting, self.parameters, self.domain, self.smoothing, self.data)
+
+    def _repr_html_(self) -> str:
+        low, high = self.domain.min(axis=0), self.domain.max(axis=0)
+        said = {
+            "form": self._form(),
+            "lifting": self.lifting.name,
+            "control points": f"{len(self.control_points)}",
+            "smoothing": f"{self.smoothing:.3g}",
+            "domain": f"x {low[0]:.4g} to {high[0]:.4g}, y {low[1]:.4g} to {high[1]:.4g}",
+        }
+        if self.data is not None:
+            errors = np.linalg.norm(
+                (self(self.data.points) - self.data.values).reshape(len(self.data.points), -1), axis=1
+            )
+            rms = float(np.sqrt((errors**2).mean()))
+            said["data"] = f"{len(errors)}; residuals: RMS {rms:.3g}, median {np.median(errors):.3g}"
+        return notebook.card(type(self).__name__, notebook.facts(said), self._picture())
+
+    @abstractmethod
+    def _form(self) -> str:
+        """What kind of function the model is, in words."""
+
+    @abstractmethod
+    def _picture(self) -> str:
+        """A small picture of the model, as SVG."""
+
+    def _lines(self) -> list[Floats]:
+        """Lines of a grid over the bounding box of the domain, (k, 2)."""
+        low, high = self.domain.min(axis=0), self.domain.max(axis=0)
+        x, y = (np.linspace(low[k], high[k], _GRID_SAMPLES) for k in (0, 1))
+        some = slice(None, None, _GRID_EVERY)
+        upright = [np.column_stack([np.full_like(y, at), y]) for at in x[some]]
+        return upright + [np.column_stack([x, np.full_like(x, at)]) for at in y[some]]
 
     def _description(self) -> str:
         smoothing = f", smoothing {self.smoothing:.3g}" if self.smoothing else ""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, area, inside
@@ -27,6 +28,12 @@ if TYPE_CHECKING:
 
 _ERROR = "error"
 """What the error to expect is called in a Dataset."""
+
+_FROM_A_SIDE = np.array([[0.87, 0.29], [0.5, -0.5], [0.0, -0.82]])
+"""Where x, y and z are in a picture, to the right and down, seen from 35 degrees above."""
+
+_RELIEF = 0.3
+"""Range of depths in a small picture, as a fraction of the domain's longer side."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,6 +159,25 @@ class Surface(FittedModel):
     def __repr__(self) -> str:
         what = "depth" if self._dimension == 1 else f"{self._dimension} values"
         return f"Surface({what}, {self._description()})"
+
+    def _form(self) -> str:
+        return "a depth" if self._dimension == 1 else f"{self._dimension} values at every point"
+
+    def _picture(self) -> str:
+        """The surface in space, seen from above and from a side; nothing if it has no place there."""
+        if self._dimension not in {1, 3}:
+            return ""
+        lines = self._lines()
+        solid = [self(line, outside="nan").reshape(len(line), -1) for line in lines]
+        if self._dimension == 1:
+            heights = np.vstack(solid)
+            heights = heights[np.isfinite(heights)]
+            # A flat surface is flat, whatever rounding makes of it.
+            size = max(np.ptp(heights), 1e-9 * np.abs(heights).max()) if heights.size else 0.0
+            steep = _RELIEF * np.ptp(self.domain, axis=0).max() / (size or 1.0)
+            solid = [np.hstack([line, steep * height]) for line, height in zip(lines, solid, strict=True)]
+        seen = [line @ _FROM_A_SIDE for line in solid]
+        return notebook.wires("the surface", [[(float(x), float(y)) for x, y in line] for line in seen])
 
     def __call__(self, points: ArrayLike, *, outside: str = EXTRAPOLATE) -> Floats:
         """Return the surface's values.

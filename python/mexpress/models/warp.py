@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, check_extent, diagonal, hull, inside, lattice, nearest
@@ -193,6 +194,13 @@ class Warp(FittedModel):
         distances = _norm(values - self(points))
         known = ~np.isnan(points).any(axis=1) & ~np.isnan(values).any(axis=1)
         return np.where(known & np.isnan(distances), np.inf, distances)
+
+    def _form(self) -> str:
+        return f"a warp with{'' if self.fractional else 'out'} a denominator"
+
+    def _picture(self) -> str:
+        bent = [self(line, outside="nan") for line in self._lines()]
+        return notebook.wires("the warped grid", [[(float(x), float(y)) for x, y in line] for line in bent])
 
     @property
     def fractional(self) -> bool:

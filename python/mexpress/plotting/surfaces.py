@@ -14,6 +14,7 @@ from mexpress.geometry import area
 from mexpress.models.surface import Surface
 from mexpress.plotting.figures import (
     BLUE,
+    FEW,
     RED,
     Aside,
     PathLike,
@@ -261,7 +262,10 @@ def plot_residuals(
         look = {"cmap": "viridis", "vmin": 0, "vmax": limit}
         name, colours, extend = "distance of the data from the surface", sizes, "max"
     dots = _draw_data(axes, surface, where, colours, **look)
-    mark_control_points(axes, surface.control_points, "black")
+    if (
+        len(surface.control_points) <= FEW or len(where) > _FEW
+    ):  # or they would hide the colours of single dots
+        mark_control_points(axes, surface.control_points, "black")
     aside.draw(axes, every)
     _set_frame(axes, where, size, residuals.ndim == 1)
     colour_bar(axes, dots, with_unit(name, unit), extend)
@@ -343,7 +347,7 @@ def _finished(axes: Axes, own: bool, path: PathLike | None) -> Figure:
     figure = figure_of(axes)
     if own:
         legend_below(figure)
-    else:
+    elif axes.get_legend_handles_labels()[0]:
         axes.legend()
     return saved(figure, path)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.criteria import Scorer
@@ -83,9 +84,6 @@ class FittedSelection(Selection, Generic[ModelT]):
     kind: ClassVar[str]
     """What files call such a selection."""
 
-    _unit: ClassVar[str | None] = None
-    """Unit of the values, if it is known."""
-
     _most_flexible_count: ClassVar[int]
     """Largest number of control points in the search for suspects."""
 
@@ -101,6 +99,13 @@ class FittedSelection(Selection, Generic[ModelT]):
     def placement(self) -> str:
         """Placement of the control points, as for `select_warp` and `select_surface`."""
         return self.question.placement
+
+    def _parts(self) -> list[str]:
+        fitted = {
+            "model": repr(self._model),
+            "data": f"{len(self.kept)} in the fit, {len(self.left_out)} left out",
+        }
+        return [notebook.facts(fitted), *super()._parts(), notebook.notes(self.notes)]
 
     @cached_property
     def kept(self) -> Integers:

@@ -6,12 +6,13 @@ import math
 import os
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
+from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
 
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+
+_FEW = 4
+"""Up to so many counts, weights are the axis that tells more."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,6 +78,9 @@ class Selection:
     rivals: dict[str, Selection] = field(kw_only=True, default_factory=dict)
     rival: str | None = field(kw_only=True, default=None)
 
+    _unit: ClassVar[str | None] = None
+    """Unit of the values, if it is known."""
+
     def __post_init__(self) -> None:
         shape = len(self.counts), len(self.weights)
         object.__setattr__(self, "maps", {name: np.reshape(m, shape) for name, m in self.maps.items()})
@@ -86,6 +94,55 @@ class Selection:
             tried = f"{self.weights[0]:.3g} to {self.weights[-1]:.3g}"
             chosen += f" and smoothing {self.smoothing:.3g} of {tried}"
         return f"{type(self).__name__}({chosen}, {self.criterion}={self.score:.4g})"
+
+    def _repr_html_(self) -> str:
+        named = f"the {self.rival}" if self.rival is not None else f"{self.count} control points"
+        several = len(self.weights) > 1 and self.rival is None
+        smoothed = f" and smoothing {self.smoothing:.3g}" if several else ""
+        title = f"{type(self).__name__}: {self.criterion} selects {named}{smoothed}"
+        return notebook.card(title, *self._parts())
+
+    def _parts(self) -> list[str]:
+        """What a notebook shows below the title, as HTML."""
+        heads = [
+            "criterion",
+            "selects",
+            "smoothing",
+            "parameters",
+            f"score ({self._unit or 'unit of the data'})",
+        ]
+        rows = [[name, *self._choice_cells(name)] for name in self.maps]
+        return [notebook.table(heads, rows, [self.criterion]), self._curve_picture()]
+
+    def _choice_cells(self, name: str) -> list[str]:
+        """What a criterion selects, the weight and the effective parameters of that, and its score there."""
+        best = self.choice(name)
+        if best is None:
+            return ["none", "", "", ""]
+        winner, k, w = best
+        rival = self.selected_rival[name]
+        parameters = math.nan if winner.parameters is None else float(winner.parameters[k, w])
+        return [
+            str(winner.counts[k]) if rival is None else rival,
+            f"{winner.weights[w]:.3g}" if rival is None else "",
+            "" if math.isnan(parameters) else f"{parameters:.1f}",
+            f"{winner.maps[name][k, w]:.4g}{' (no unit)' if name in UNITLESS else ''}",
+        ]
+
+    def _curve_picture(self) -> str:
+        """The criterion against the count or, with few counts, against the weight; nothing if there is one of each."""
+        k, w = self.place
+        scores = self.maps[self.criterion]
+        if len(self.weights) > 1 and len(self.counts) <= _FEW:
+            y, chosen, axis = scores[k], w, f"smoothing, at {self.counts[k]} control points"
+            x, names = range(len(self.weights)), [f"{weight:.3g}" for weight in self.weights]
+        else:
+            y, chosen, axis = self.curves[self.criterion], k, "control points"
+            x, names = self.counts.tolist(), [str(count) for count in self.counts]
+        if len(y) < 2 or np.isnan(y).all():
+            return ""
+        name = self.criterion + ("" if self.rival is None else f", but for the {self.rival}")
+        return notebook.curve(name, x, y.tolist(), chosen, [names[0], names[chosen], names[-1]], axis)
 
     def showing(self, names: Container[str]) -> Self:
         """Return the selection with some of its criteria."""
