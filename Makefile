@@ -5,12 +5,12 @@ BIN := $(VENV)/bin
 RUST := $(shell find rust Cargo.toml Cargo.lock pyproject.toml -type f 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-rest test-all nightly check wheel sdist notice licences hooks bench mutants rooms docs clean
+.PHONY: help demo test test-rest test-all nightly check wheel sdist notice licences hooks bench mutants rooms gallery docs clean
 
 help: ## Show what can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 
-demo: $(VENV)/demo ## Register a stereo pair, and fit a surface to terrain; see demo-output/
+demo: $(VENV)/demo ## Flatten the photo of a bent page, and fit a surface to terrain; see demo-output/
 	$(BIN)/python examples/demo_warp.py
 	$(BIN)/python examples/demo_surface.py
 
@@ -80,11 +80,17 @@ hooks: $(VENV)/dev ## Check format, lint and types at every commit from now on
 rooms: $(VENV)/demo ## Draw who imports whom anew: docs/rooms.png
 	$(BIN)/python docs/rooms.py
 
-docs: ## Build the crate's documentation
-	cargo doc --locked --no-deps
+gallery: $(VENV)/demo ## Draw the figures of docs/gallery/ and the picture of README anew
+	$(BIN)/python docs/gallery.py
+	$(BIN)/python examples/demo_warp.py --picture docs/bent-page.jpg
+
+# Help of commands is as wide as the terminal, and the theme tells of its successor at every build: neither is wanted.
+docs: $(VENV)/docs ## Build the site, site/index.html, and the crate's documentation
+	COLUMNS=80 NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	cargo doc --locked --no-deps --quiet
 
 clean: ## Remove what was built
-	rm -rf target $(VENV) demo-output dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf target $(VENV) demo-output dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(VENV)/pip:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed")'
@@ -98,6 +104,6 @@ $(VENV)/built: $(VENV)/pip $(RUST)
 	@touch $@
 
 # A stamp for each group of tools, installed when first wanted.
-$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench $(VENV)/release: $(VENV)/built
+$(VENV)/demo $(VENV)/test $(VENV)/check $(VENV)/dev $(VENV)/bench $(VENV)/docs $(VENV)/release: $(VENV)/built
 	$(BIN)/python -m pip install --quiet --group $(notdir $@)
 	@touch $@

@@ -27,10 +27,11 @@ class Room(NamedTuple):
 
 ROOMS = {
     "paper": Room(2, 8, "its tables and figures"),
+    "datasets": Room(1, 8, "data with a known truth"),
     "simulation": Room(1, 7, "sheets and cameras"),
     "cli": Room(2, 7, "the command line"),
     "batch": Room(3, 7, "many problems"),
-    "sklearn": Room(4, 7, "estimators"),
+    "sklearn": Room(0, 7, "estimators"),
     "selection": Room(2, 6, "tries and chooses", (1, 9)),
     "report": Room(3, 5, "one page"),
     "plotting": Room(4, 4, "figures"),
@@ -39,13 +40,12 @@ ROOMS = {
     "criteria": Room(2, 3, "by a name", (6, 8)),
     "models": Room(3, 3, "warps and surfaces", (4, 10)),
     "leastsquares": Room(1, 2, "fit and predict", (5, 7)),
-    "resampling": Room(2, 2, "images moved"),
     "liftings": Room(3, 2, "functions that bend", (3,)),
     "io": Room(4, 2, "files of data"),
     "schemes": Room(1, 1, "what is held out", (6,)),
     "placement": Room(3, 1, "control points", (2,)),
 }
-GROUND = ["_validation", "geometry", "index_sets", "notebook", "progress"]
+GROUND = ["_validation", "geometry", "index_sets", "notebook", "progress", "resampling"]
 RUST = ["evaluate", "fit", "holdout", "near", "place"]
 NOT_DRAWN = ["__init__", "__main__", "versions"]
 

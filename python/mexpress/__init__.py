@@ -18,7 +18,7 @@ from mexpress import _core  # noqa: F401 - a build that does not suit this Pytho
 if TYPE_CHECKING:
     from typing import Any
 
-    from mexpress import criteria, io, liftings, placement, schemes, simulation
+    from mexpress import criteria, datasets, io, liftings, placement, schemes, simulation
     from mexpress.batch import map_problems
     from mexpress.io.clouds import Cloud, read_cloud
     from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
@@ -49,6 +49,7 @@ __all__ = [
     "WarpSelection",
     "criteria",
     "cross_validate_nested",
+    "datasets",
     "fit_surface",
     "fit_warp",
     "io",

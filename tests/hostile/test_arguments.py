@@ -47,6 +47,7 @@ COVERED = {
     "WarpSelection",  # a result
     "criteria",  # test_criteria.py
     "cross_validate_nested",
+    "datasets",  # test_datasets.py
     "fit_surface",
     "fit_warp",
     "io",  # test_io_*.py

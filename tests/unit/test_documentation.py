@@ -4,6 +4,7 @@ import argparse
 import re
 import shlex
 from functools import cached_property
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mexpress.liftings import Lifting
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
-    str(page.relative_to(ROOT)): page.read_text() for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]
+    str(page.relative_to(ROOT)): page.read_text() for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
 }
 COMMANDS = [
     pytest.param(shlex.split(line, comments=True)[1:], id=line.split(" #")[0].strip())
@@ -55,7 +56,7 @@ def taken_for_granted():
 
 
 @pytest.mark.parametrize("page", [page for page, text in PAGES.items() if "```python" in text])
-def test_python_runs(page, tmp_path, monkeypatch):
+def test_python_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     x, y = np.meshgrid(np.arange(24), np.arange(18))
     depth = (5000 + 500 * np.sin(x / 9) + 20 * y).astype(np.uint16)
@@ -63,6 +64,11 @@ def test_python_runs(page, tmp_path, monkeypatch):
     names = taken_for_granted()
     exec(compile(code(page), ROOT / page, "exec"), names)
     assert names.keys() > taken_for_granted().keys()
+    # What a page says that its Python prints is in blocks of text right below it.
+    said = re.findall(
+        r"^```python\n(?:[^`]|`(?!``))*^```\n\n```text\n(.*?)^```", PAGES[page], re.DOTALL | re.MULTILINE
+    )
+    assert capsys.readouterr().out == "".join(said)
 
 
 @pytest.mark.parametrize("arguments", COMMANDS)
@@ -77,6 +83,22 @@ def test_commands_are_understood(arguments, monkeypatch):
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
     assert main(arguments) == 130
     assert parsed[0].run
+
+
+def test_the_reference_has_every_public_name():
+    text = "\n".join(text for page, text in PAGES.items() if page.startswith("docs/reference/"))
+    shown = set(re.findall(r"^::: (mexpress\.\S+)$", text, re.MULTILINE))
+    assert {f"mexpress.{name}" for name in mx.__all__} <= shown
+    public = re.search(
+        r"modules list in their `__all__`: (.*?)\.$", PAGES["docs/compatibility.md"], re.DOTALL | re.MULTILINE
+    )
+    modules = set(re.findall(r"`(mexpress\.\w+)`", public[1]))
+    assert len(modules) > 6
+    assert modules <= shown
+    commands = {
+        point.name for point in entry_points(group="mexpress.commands") if point.dist.name == "mexpress"
+    }
+    assert set(re.findall(r"^<!-- mexpress (\w+) --help -->$", text, re.MULTILINE)) == commands
 
 
 def test_files_that_are_named_exist():

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 import mexpress as mx
+import mexpress.sklearn
 
 PACKAGE = Path(mx.__file__).parent
-MODULES = [mx, mx.criteria, mx.io, mx.liftings, mx.placement, mx.schemes, mx.simulation]
+MODULES = [mx, mx.criteria, mx.io, mx.liftings, mx.placement, mx.schemes, mx.simulation, mexpress.sklearn]
 
 
 def loaded_by(program):
@@ -30,7 +31,12 @@ def public():
                 continue
             if inspect.isclass(value):
                 for method, function in inspect.getmembers(value, callable):
-                    if method == "__call__" or not method.startswith("_"):
+                    ours = method in vars(value) or module is not mexpress.sklearn
+                    if (
+                        ours
+                        and (method == "__call__" or not method.startswith("_"))
+                        and "_request" not in method
+                    ):
                         yield f"{name}.{method}", function
             if callable(value):
                 yield name, value

@@ -462,7 +462,7 @@ def test_a_lifting_of_ones_own_is_known_by_its_name_everywhere(tmp_path):
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(own))(source), own(source))
     assert register(Cone) is Cone  # twice is once
     LIFTINGS.pop("cone")
-    message = r"a model that cannot be rebuilt: Invalid lifting\. .*\.register` has entered\. Given 'cone'"
+    message = r"a warp that cannot be rebuilt: Invalid lifting\. .*\.register` has entered\. Given 'cone'"
     with pytest.raises(ValueError, match=message):
         mx.load(tmp_path / "own")
 

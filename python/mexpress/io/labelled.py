@@ -7,6 +7,8 @@ Examples
 Plane(y='lat', x='lon')
 """
 
+from __future__ import annotations
+
 from collections.abc import Hashable
 from types import ModuleType
 from typing import Any, NamedTuple

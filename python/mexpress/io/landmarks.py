@@ -17,6 +17,8 @@ Examples
 Landmarks(columns=[2, 3, 0, 1], signs=(1, -1, 1, 1), origin=0.5)
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterator
 from typing import NamedTuple

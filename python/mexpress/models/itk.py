@@ -13,6 +13,8 @@ array([[0.5, 0. ],
        [1.5, 2. ]])
 """
 
+from __future__ import annotations
+
 from types import ModuleType
 from typing import Any
 

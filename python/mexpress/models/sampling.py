@@ -9,6 +9,8 @@ Examples
 [[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0]]
 """
 
+from __future__ import annotations
+
 from collections.abc import Hashable, Mapping
 from typing import Any, NamedTuple
 
@@ -34,7 +36,7 @@ class Box(NamedTuple):
     area: float
 
     @classmethod
-    def of(cls, region: Any) -> "Box":
+    def of(cls, region: Any) -> Box:
         """Return the box of (west, east, south, north)."""
         rule = "It must be (west, east, south, north), west below east and south below north."
         sides = check.items(region, "region", rule)

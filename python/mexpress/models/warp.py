@@ -102,6 +102,13 @@ class Warp(FittedModel):
         form = "fractional " if self.fractional else ""
         return f"Warp({form}{self._description()})"
 
+    def _form(self) -> str:
+        return f"a warp with{'' if self.fractional else 'out'} a denominator"
+
+    def _picture(self) -> str:
+        bent = [self(line, outside="nan") for line in self._lines()]
+        return notebook.wires("the warped grid", [[(float(x), float(y)) for x, y in line] for line in bent])
+
     @classmethod
     def from_estimate(
         cls, source: ArrayLike, target: ArrayLike, count: int | None = None, *, fractional: bool = True
@@ -194,13 +201,6 @@ class Warp(FittedModel):
         distances = _norm(values - self(points))
         known = ~np.isnan(points).any(axis=1) & ~np.isnan(values).any(axis=1)
         return np.where(known & np.isnan(distances), np.inf, distances)
-
-    def _form(self) -> str:
-        return f"a warp with{'' if self.fractional else 'out'} a denominator"
-
-    def _picture(self) -> str:
-        bent = [self(line, outside="nan") for line in self._lines()]
-        return notebook.wires("the warped grid", [[(float(x), float(y)) for x, y in line] for line in bent])
 
     @property
     def fractional(self) -> bool:

@@ -140,4 +140,4 @@ def _draw_curves(axes: Axes, model: FittedModel, unit: str | None) -> None:
         label = f"{share} % of the domain is nearer"
         axes.axvline(np.percentile(reach, share), color=GRAY, lw=1, ls=style, label=label)
     axes.grid(alpha=0.25, lw=0.6)
-    axes.legend(loc="upper left", frameon=False)
+    axes.legend(loc="upper left", framealpha=0.9, edgecolor="none")

@@ -131,7 +131,7 @@ class Sheet:
         array([[0.5 , 0.25, 0.  ]])
         """
         where = self._on_sheet(points)
-        rotations, offsets = self._placed
+        rotations, offsets = self.motions
         strips = self.strips(where)
         return np.asarray(np.einsum("kij,kj->ki", rotations[strips][:, :, :2], where) + offsets[strips])
 
@@ -159,7 +159,7 @@ class Sheet:
         >>> Sheet([0.0], [0.0], [0.0]).normals([[0.5, 0.25]]).round(6) + 0.0
         array([[0., 0., 1.]])
         """
-        rotations, _ = self._placed
+        rotations, _ = self.motions
         return rotations[self.strips(self._on_sheet(points))][:, :, 2]
 
     def grid(self, columns: int = 60, rows: int = 34) -> Floats:
@@ -247,7 +247,7 @@ class Sheet:
         return np.asarray(before.sum(axis=1), dtype=np.int64)
 
     @cached_property
-    def _placed(self) -> tuple[Floats, Floats]:
+    def motions(self) -> tuple[Floats, Floats]:
         """Motions of the strips: rotations (k + 1, 3, 3) and offsets (k + 1, 3), whose mean is near the identity."""
         rotations, offsets = self._folded()
         where = self.grid()
