@@ -10,6 +10,9 @@ from mexpress.report.scales import Scale, written
 
 WIDTH = 560.0
 
+_APART = 80.0, 40.0
+"""From tick to tick at least, along x and y."""
+
 
 def text(x: float, y: float, words: str, anchor: str = "middle", look: str = "") -> str:
     """Return a text.
@@ -54,7 +57,8 @@ def axes(
     drawn = [
         f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{bottom - top:.1f}" class="frame"/>'
     ]
-    values, heights = x.ticks(), y.ticks()
+    values = x.ticks(round(min(6, max(1, (right - left) / _APART[0]))))
+    heights = y.ticks(round(min(6, max(1, (bottom - top) / _APART[1]))))
     for place, word in at or [(x(value), word) for value, word in zip(values, written(values), strict=True)]:
         drawn += [
             line([(place, bottom), (place, bottom + 5)], 'class="tick"'),

@@ -39,8 +39,8 @@ def error_figure(model: FittedModel, y_down: bool, names: tuple[str, str], unit:
     shape = len(y), len(x)
     errors, covered = model.error(points).reshape(shape), model.covers(points).reshape(shape)
     smallest, largest = (
-        percentile(errors[covered], 0),
-        percentile(errors[covered], 100) or percentile(errors, 95),
+        percentile(errors[covered], 0.5),
+        percentile(errors[covered], 99.5) or percentile(errors, 95),
     )
     if not largest > smallest:
         smallest, largest = 0.0, largest or 1.0

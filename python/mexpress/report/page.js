@@ -91,8 +91,11 @@ each(".solid", (solid) => {
       const [p, q] = edge.map((k) => flat(box[k])), middle = [(p[0] + q[0]) / 2, (p[1] + q[1]) / 2];
       const out = axis === 2 ? [-1, 0] : [middle[0] > wide / 2 ? 0.7 : -0.7, 0.7];
       pen.textAlign = axis === 2 || out[0] < 0 ? "right" : "left";
-      [[p, mesh.ends[axis][0], 0.12], [middle, mesh.names[axis], 0], [q, mesh.ends[axis][1], -0.12]].forEach(([[x, y], words, in_]) => {
-        pen.fillText(words, x + in_ * (q[0] - p[0]) + 9 * out[0], y + in_ * (q[1] - p[1]) + 14 * out[1]);
+      const [name, [low, high]] = [mesh.names[axis], mesh.ends[axis]];
+      const roomy = Math.hypot(p[0] - q[0], p[1] - q[1]) > 70;
+      const words = roomy ? [[p, low, 0.12], [middle, name, 0], [q, high, -0.12]] : [[middle, `${name} ${low} to ${high}`, 0]];
+      words.forEach(([[x, y], word, in_]) => {
+        pen.fillText(word, x + in_ * (q[0] - p[0]) + 9 * out[0], y + in_ * (q[1] - p[1]) + 14 * out[1]);
       });
     });
   };

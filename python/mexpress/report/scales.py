@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 _TICKS = 6
-"""About so many ticks along an axis."""
+"""So many ticks along an axis, or a few more if it is logarithmic."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class Scale:
     def _even(self, value: float) -> float:
         return math.log(value) if self.logarithmic else float(value)
 
-    def ticks(self) -> list[float]:
-        """Return round values, from low to high."""
-        return self._powers() if self.logarithmic else self._steps()
+    def ticks(self, most: int = _TICKS) -> list[float]:
+        """Return round values, from low to high, about so many."""
+        return self._powers() if self.logarithmic else self._steps(most)
 
-    def _steps(self) -> list[float]:
+    def _steps(self, most: int) -> list[float]:
         span = self.high - self.low
         if not span > 0:
             return [self.low]
-        rough = span / _TICKS
+        rough = span / most
         power = 10.0 ** math.floor(math.log10(rough))
         step = power * next(part for part in (1, 2, 5, 10) if part * power >= (1 - 1e-9) * rough)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)

@@ -104,7 +104,8 @@ def _in_space(surface: Surface, dimension: int, names: tuple[str, str], y_down: 
         "colours": colours_of(np.linspace(0, 1, _SHADES), 0, 1, FIELD).tolist(),
     }
     said = f"Drag it, or move the sliders. Colours: {labels[2]}, from {ends[2][0]} to {ends[2][1]} ({escape(unit)})."
-    said += f" Heights are {float(f'{steep:.2g}'):g} times as large as x and y." if dimension == 1 else ""
+    if dimension == 1:
+        said += f" A height of 1 is drawn as long as {float(f'{steep:.2g}'):g} along x and y."
     sliders = "".join(
         f'<label>{name} <input type="range" min="{least}" max="{most}" value="{value}" data-angle="{name}"></label>'
         for name, least, most, value in (("turn", -180, 180, -35), ("tilt", 0, 90, 35))
