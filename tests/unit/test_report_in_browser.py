@@ -9,6 +9,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
 
 import mexpress as mx
 
@@ -75,7 +76,10 @@ def find(browser, selector):
 
 
 def drawn(element):
-    """What is seen of an element, as a PNG."""
+    """What is seen of an element, as a PNG; of a canvas, what is on it."""
+    if element.tag_name == "canvas":
+        return element.parent.execute_script("return arguments[0].toDataURL()", element)
+    element.parent.execute_script("document.activeElement.blur()")  # the rim of the focus is no change
     return element.screenshot_as_png
 
 
@@ -195,6 +199,19 @@ def test_a_surface_is_turned(show, width, scheme):
     turn.send_keys(Keys.ARROW_LEFT)
     assert drawn(canvas) != dragged[0]
     assert browser.get_log("browser") == []
+
+
+def test_a_surface_is_drawn_anew_for_another_screen(show):
+    browser = show("surface", 1400, "light")
+    canvas = find(browser, "canvas")
+    light = drawn(canvas)
+    wish = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wish)
+    WebDriverWait(browser, 5).until(lambda _: drawn(canvas) != light)
+    size = {"width": 500, "height": 900, "deviceScaleFactor": 2, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    same = "return arguments[0].width === 2 * arguments[0].clientWidth && arguments[0].width < 1000"
+    WebDriverWait(browser, 5).until(lambda _: browser.execute_script(same, canvas))
 
 
 def test_without_scripts_it_is_read_all_the_same(show, browser, pages):

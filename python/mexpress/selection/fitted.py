@@ -212,7 +212,7 @@ class FittedSelection(Selection, Generic[ModelT]):
             weighted=weights is not None and bool((weights[~np.isnan(residuals)] != 1).any()),
             image_size=image_size,
             searched=self.searched,
-            command=command,
+            command=check.text(command, "command"),
         )
         with replacing(path) as file:
             file.write(account.page(self._table(unit), figures).encode())

@@ -127,7 +127,7 @@ class SurfaceSelection(FittedSelection[Surface]):
         Raises
         ------
         ValueError, TypeError
-            If the image's size is no size.
+            If the image's size is no size, or the unit or the command no text.
         OSError
             If the file cannot be written; an existing file is then unchanged.
 
@@ -146,6 +146,7 @@ class SurfaceSelection(FittedSelection[Surface]):
         from mexpress.report import surface_figures  # noqa: PLC0415 - what few need
 
         y_down = check.image_size(image_size) is not None
+        check.text(unit, "unit")
         figures = surface_figures(
             self.surface,
             self.points,

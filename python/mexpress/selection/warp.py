@@ -129,7 +129,7 @@ class WarpSelection(FittedSelection[Warp]):
         Raises
         ------
         ValueError, TypeError
-            If one of the images is missing, or is no image.
+            If one of the images is missing, or is no image, or the command is no text.
         ImportError
             If there are images, and Pillow is not installed.
         OSError
