@@ -207,11 +207,11 @@ def test_a_surface_is_drawn_anew_for_another_screen(show):
     light = drawn(canvas)
     wish = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wish)
-    WebDriverWait(browser, 5).until(lambda _: drawn(canvas) != light)
+    assert WebDriverWait(browser, 5).until(lambda _: drawn(canvas) != light)
     size = {"width": 500, "height": 900, "deviceScaleFactor": 2, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     same = "return arguments[0].width === 2 * arguments[0].clientWidth && arguments[0].width < 1000"
-    WebDriverWait(browser, 5).until(lambda _: browser.execute_script(same, canvas))
+    assert WebDriverWait(browser, 5).until(lambda _: browser.execute_script(same, canvas))
 
 
 def test_without_scripts_it_is_read_all_the_same(show, browser, pages):
