@@ -384,6 +384,13 @@ def flag(value: Any, name: str, rule: str = "It must be True or False.") -> bool
     return bool(value)
 
 
+def text(value: Any, name: str) -> str | None:
+    """A text, or None."""
+    if value is not None and not isinstance(value, str):
+        refuse(name, "It must be a text.", describe(value), TypeError)
+    return value
+
+
 def positive(value: Any, name: str) -> float:
     """Finite number above zero."""
     return number(value, name, "It must be a positive number.", 0.0, strict=True)

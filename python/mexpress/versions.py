@@ -37,9 +37,20 @@ def show_versions() -> None:
     BLAS          ...
     distributed   ...
     """
-    entries = _machine() | {name: _installed(name) for name in _optional()}
+    entries = versions()
     width = 2 + max(map(len, entries))
     print("\n".join(f"{name:{width}}{entry}" for name, entry in entries.items()))
+
+
+def versions() -> dict[str, str]:
+    """Return what `show_versions` prints, by name.
+
+    Examples
+    --------
+    >>> list(versions())[:2]
+    ['mexpress', 'Python']
+    """
+    return _machine() | {name: _installed(name) for name in _optional()}
 
 
 def _machine() -> dict[str, str]:

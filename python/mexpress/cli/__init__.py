@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
@@ -57,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = argparse.Namespace()
     try:
         arguments = _parser(words).parse_args(words)
+        arguments.typed = shlex.join(["mexpress", *words])
         arguments.run(arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:

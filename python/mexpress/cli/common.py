@@ -109,6 +109,8 @@ def add_selection(parser: Parser, placements: str) -> None:
     weights.add_argument(
         "--sigma", metavar="COLUMN", help="name of the standard deviations there: the weights are 1 / sigma^2"
     )
+    help_of_report = "also write a page, FILE.html, which shows all of it and needs nothing from elsewhere"
+    add("--report", type=Path, metavar="FILE", help=help_of_report)
     add_run(parser)
 
 
@@ -326,7 +328,9 @@ def write_selection(
     arguments: argparse.Namespace, selection: FittedSelection[Any], more: dict[str, Any]
 ) -> list[str]:
     """Write what every selection has; return the names of the files."""
-    command = {name: _json(value) for name, value in vars(arguments).items() if name not in {"run", "json"}}
+    command = {
+        name: _json(value) for name, value in vars(arguments).items() if name not in {"run", "json", "typed"}
+    }
     reports.write_summary(
         arguments.out / "selection.json",
         {"command": command, "versions": reports.versions(), **selection.to_dict(), **more},
@@ -358,6 +362,19 @@ def draw(arguments: argparse.Namespace, plots: dict[str, Callable[[Path], Any]])
         warn(f"no plots. {error}")
         return []
     return list(plots)
+
+
+def write_report(arguments: argparse.Namespace, write: Callable[..., None]) -> None:
+    """Write a page with what was typed, if one is wanted and can be made."""
+    if arguments.report is None:
+        return
+    try:
+        write(arguments.report, command=arguments.typed)
+    except ImportError as error:  # the numbers are worth more than the page
+        warn(f"no report. {error}")
+        return
+    if not arguments.json:
+        print(f"\n{arguments.report}: all of it on one page")
 
 
 def missing_text(n_missing: int) -> str:

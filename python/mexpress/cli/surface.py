@@ -133,6 +133,7 @@ def _run(arguments: argparse.Namespace) -> None:
     selection.surface.save(arguments.out / "surface.npz")
     written += ["surface.npz", *_write_meshes(arguments.out, selection, cloud)]
     written += common.draw(arguments, _plots(selection, cloud, unit))
+    common.write_report(arguments, partial(selection.report, image_size=cloud.image_size, unit=unit))
     common.print_end(arguments, "selection.json", written)
 
 

@@ -53,8 +53,8 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "250 to 900; without --smoothing auto, 3 to half as many, at most 100)",
     )
     common.add_selection(parser, "nested or lloyd (default: nested, or lloyd with one weight)")
-    add("--source-image", type=Path, metavar="FILE", help="for registered.png")
-    add("--target-image", type=Path, metavar="FILE", help="for registered.png")
+    add("--source-image", type=Path, metavar="FILE", help="for registered.png and the report")
+    add("--target-image", type=Path, metavar="FILE", help="for registered.png and the report")
     parser.set_defaults(run=_run)
 
 
@@ -89,6 +89,7 @@ def _run(arguments: argparse.Namespace) -> None:
     written = common.write_selection(arguments, selection, more)
     selection.warp.save(arguments.out / "warp.npz")
     written += ["warp.npz", *common.draw(arguments, _plots(selection, images))]
+    common.write_report(arguments, lambda path, command: selection.report(path, *images, command=command))
     common.print_end(arguments, "selection.json", written)
 
 

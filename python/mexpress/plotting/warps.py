@@ -140,7 +140,7 @@ def _moves(warp: Warp, step: float) -> tuple[Floats, Floats, Floats]:
 
 def _draw_target(axes: Axes, warp: Warp, source: Floats, target: Floats) -> None:
     """Draw the warped grid, and errors at matches as colours and as arrows."""
-    for line in _grid_lines(warp):
+    for line in grid_lines(warp):
         axes.plot(*warp(line).T, color="#999999", lw=0.8, zorder=1)
     predicted = warp(source)
     errors = np.hypot(*(target - predicted).T)
@@ -301,7 +301,7 @@ def _paint_failures(axes: Axes, warp: Warp, extent: rasters.Extent) -> None:
             axes.plot([], [], "s", color=colour, alpha=0.6, label=name)
 
 
-def _grid_lines(warp: Warp) -> list[Floats]:
+def grid_lines(warp: Warp) -> list[Floats]:
     """Return the lines of a square grid inside the warp's domain."""
     corners = np.vstack([warp.domain, warp.domain[:1]])
     low, size = corners.min(axis=0), np.ptp(corners, axis=0)

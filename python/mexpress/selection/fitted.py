@@ -19,6 +19,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.criteria import Scorer
 from mexpress.geometry import diagonal
+from mexpress.io.archives import replacing
 from mexpress.leastsquares.model import LeastSquares
 from mexpress.models import CardinalBasis, Design, FittedModel, ModelT, files
 from mexpress.progress import Show, hidden
@@ -182,6 +183,39 @@ class FittedSelection(Selection, Generic[ModelT]):
         array([3, 9])
         """
         files.save(self, path)
+
+    def _report(
+        self,
+        path: str | os.PathLike[str],
+        figures: Sequence[str],
+        residuals: Floats,
+        unit: str | None,
+        image_size: tuple[float, float] | None,
+        command: str | None,
+    ) -> None:
+        """Write the page of the selection with figures of its model, which are HTML."""
+        from mexpress.selection.reports import Account  # noqa: PLC0415 - what few need
+
+        weights = self.data.weights
+        account = Account(
+            scores=self,
+            kind=self._model.kind,
+            model=repr(self._model),
+            unit=unit,
+            points=self.data.points,
+            residuals=residuals,
+            kept=self.kept,
+            left_out=self.left_out,
+            notes=self.notes,
+            asked=saved.settings(self.question),
+            schemes=list(self.schemes),
+            weighted=weights is not None and bool((weights[~np.isnan(residuals)] != 1).any()),
+            image_size=image_size,
+            searched=self.searched,
+            command=check.text(command, "command"),
+        )
+        with replacing(path) as file:
+            file.write(account.page(self._table(unit), figures).encode())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that describe the selection, by name."""

@@ -104,15 +104,13 @@ class Selection:
 
     def _parts(self) -> list[str]:
         """What a notebook shows below the title, as HTML."""
-        heads = [
-            "criterion",
-            "selects",
-            "smoothing",
-            "parameters",
-            f"score ({self._unit or 'unit of the data'})",
-        ]
+        return [self._table(self._unit), self._curve_picture()]
+
+    def _table(self, unit: str | None) -> str:
+        """What each criterion selects, as HTML."""
+        heads = ["criterion", "selects", "smoothing", "parameters", f"score ({unit or 'unit of the data'})"]
         rows = [[name, *self._choice_cells(name)] for name in self.maps]
-        return [notebook.table(heads, rows, [self.criterion]), self._curve_picture()]
+        return notebook.table(heads, rows, [self.criterion])
 
     def _choice_cells(self, name: str) -> list[str]:
         """What a criterion selects, the weight and the effective parameters of that, and its score there."""
@@ -133,7 +131,7 @@ class Selection:
         """The criterion against the count or, with few counts, against the weight; nothing if there is one of each."""
         k, w = self.place
         scores = self.maps[self.criterion]
-        if len(self.weights) > 1 and len(self.counts) <= _FEW:
+        if weights_tell_more(self):
             y, chosen, axis = scores[k], w, f"smoothing, at {self.counts[k]} control points"
             x, names = range(len(self.weights)), [f"{weight:.3g}" for weight in self.weights]
         else:
@@ -436,6 +434,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def weights_tell_more(selection: Selection) -> bool:
+    """Tell whether there are weights to choose from, and few counts."""
+    return len(selection.weights) > 1 and len(selection.counts) <= _FEW
 
 
 def strongest(entrants: Sequence[Selection], name: str) -> tuple[Selection, int, int] | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
@@ -97,6 +98,68 @@ class SurfaceSelection(FittedSelection[Surface]):
     def _design(self, basis: CardinalBasis) -> Design[Surface]:
         data: Samples = self._kept_data
         return data.design(basis)
+
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        image_size: tuple[float, float] | None = None,
+        unit: str | None = None,
+        command: str | None = None,
+    ) -> None:
+        """Write a page on the selection: one HTML file, which needs nothing from elsewhere.
+
+        The notes come first, then what was asked, all scores as curves that answer the pointer, the surface in space to
+        be turned, residuals, the error to expect, what each criterion selects, data to look at, how to make it again,
+        and versions.
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file; no ending is added.
+        image_size : (width, height), optional
+            Of the depth map in pixels, if the points are its pixels: y then points down.
+        unit : str, optional
+            Of the values.
+        command : str, optional
+            What was typed to make the selection, to be shown.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the image's size is no size, or the unit or the command no text.
+        OSError
+            If the file cannot be written; an existing file is then unchanged.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> import pathlib, tempfile
+        >>> points = np.random.default_rng(0).uniform(0, 1, (60, 2))
+        >>> selection = mx.select_surface(points, np.sin(6 * points[:, 0]))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     selection.report(f"{folder}/report.html", unit="m")
+        ...     pathlib.Path(f"{folder}/report.html").read_text()[:15]
+        '<!DOCTYPE html>'
+        """
+        from mexpress.report import surface_figures  # noqa: PLC0415 - what few need
+
+        y_down = check.image_size(image_size) is not None
+        check.text(unit, "unit")
+        figures = surface_figures(
+            self.surface,
+            self.points,
+            self.values,
+            self.kept,
+            self.left_out,
+            names=self.axes or (("x (pixels)", "y") if y_down else ("x", "y")),
+            y_down=y_down,
+            unit=unit or "unit of the data",
+        )
+        misses = (self.values - self.surface(self.points)).reshape(len(self.points), -1)
+        residuals = np.linalg.norm(misses, axis=1)
+        self._report(path, figures, residuals, unit, None, command)
 
     def plot_surface(
         self,

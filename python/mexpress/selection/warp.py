@@ -103,6 +103,62 @@ class WarpSelection(FittedSelection[Warp]):
         matches: Matches = self._kept_data
         return matches.design(basis, self.warp.fractional, _over_data(self.placement))
 
+    def report(
+        self,
+        path: str | os.PathLike[str],
+        source_image: ArrayLike | None = None,
+        target_image: ArrayLike | None = None,
+        *,
+        command: str | None = None,
+    ) -> None:
+        """Write a page on the selection: one HTML file, which needs nothing from elsewhere.
+
+        The notes come first, then what was asked, all scores as curves that answer the pointer, displacements, errors
+        at the matches, the error to expect, what each criterion selects, matches to look at, how to make it again, and
+        versions. With both images, they are compared under a slider, before and after the warp (extra ``image``).
+
+        Parameters
+        ----------
+        path : str or path
+            Name of the file; no ending is added.
+        source_image, target_image : array_like, (height, width) or (height, width, 3 or 4), optional
+            Both or none, as for `plot_registration`.
+        command : str, optional
+            What was typed to make the selection, to be shown.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If one of the images is missing, or is no image, or the command is no text.
+        ImportError
+            If there are images, and Pillow is not installed.
+        OSError
+            If the file cannot be written; an existing file is then unchanged.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> import pathlib, tempfile
+        >>> source = np.random.default_rng(0).uniform(0, 100, (40, 2))
+        >>> selection = mx.select_warp(source, source + np.sin(source / 30))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     selection.report(f"{folder}/report.html")
+        ...     pathlib.Path(f"{folder}/report.html").read_text()[:15]
+        '<!DOCTYPE html>'
+        """
+        from mexpress.report import warp_figures  # noqa: PLC0415 - what few need
+
+        images = None
+        if source_image is not None and target_image is not None:
+            images = source_image, target_image
+        elif source_image is not None or target_image is not None:
+            missing = "source_image" if source_image is None else "target_image"
+            check.refuse(missing, "Both images must be given, or none.", "none")
+        figures = warp_figures(self.warp, self.source, self.target, self.kept, self.left_out, images)
+        residuals = self.warp.residuals(self.source, self.target)
+        self._report(path, figures, residuals, "pixels", self.image_size, command)
+
     def plot_warp(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Plot how far the selected warp moves points, how it bends a grid, and its errors (extra ``plot``).
 
