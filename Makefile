@@ -67,6 +67,7 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/reproduce.py
 	$(BIN)/python benches/smoothing.py map
 	$(BIN)/python benches/smoothing.py auto
+	$(BIN)/python benches/sklearn_refits.py
 	$(BIN)/python -m pytest benches/test_*.py --benchmark-group-by=group
 	cargo bench --locked
 

@@ -92,7 +92,8 @@ def main():
         for name, closed, refitted in pairs(places, X, y):
             fast, found = shortest(closed, rounds)
             slow, expected = shortest(refitted, rounds)
-            times = f"{1e3 * slow:,.1f} | {1e3 * fast:,.2f} | {slow / fast:,.3g}"
+            ratio = slow / fast
+            times = f"{1e3 * slow:,.1f} | {1e3 * fast:,.2f} | {ratio:,.{0 if ratio >= 10 else 1}f}"
             print(f"| {n:,} | {p} | {name} | {times} | {np.abs(found - expected).max():.0e} |", flush=True)
 
 

@@ -75,6 +75,7 @@ def warp(folder: Path) -> None:
     inside = RNG.uniform(50, 450, (200, 2))
     expected = inside @ [[1.1, 0.1], [-0.2, 0.9]] + 15 * np.sin(inside[:, ::-1] / 90)
     assert np.sqrt(np.mean((best.warp(inside) - expected) ** 2)) < 0.5
+    best.report(folder / "report.html")  # with the style and the script that are files of the package
     best.warp.save(folder / "warp.npz")
     np.testing.assert_array_equal(mx.load(folder / "warp.npz")(inside), best.warp(inside))
 

@@ -156,7 +156,9 @@ def test_curves_are_those_of_refits_by_lstsq(shape):
             assert selection.curves[name][k] == pytest.approx(value, rel=1e-9), name
 
 
-@example(seed=1188, n=15, gridded=True)  # a pair whose lambda_min(M) of 1.5e-7 is estimated three times too large
+@example(
+    seed=1188, n=15, gridded=True
+)  # a pair whose lambda_min(M) of 1.5e-7 is estimated three times too large
 @given(seed=st.integers(0, 10**6), n=st.integers(5, 40), gridded=st.booleans())
 def test_any_data(seed, n, gridded):
     rng = np.random.default_rng(seed)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from sklearn.model_selection import check_cv
+from sklearn.model_selection import LeaveOneOut, check_cv
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.schemes import Scheme, from_splits
+from mexpress.schemes import Scheme, from_splits, leave_one_out
 
 
 def scheme_of(cv: Any, X: Floats, y: Floats, groups: Any = None) -> Scheme:
@@ -31,6 +31,8 @@ def scheme_of(cv: Any, X: Floats, y: Floats, groups: Any = None) -> Scheme:
         if cv.n_data != len(X):
             check.refuse("cv", f"It must be over the {len(X)} data of X.", f"a scheme over {cv.n_data} data")
         return cv
+    if isinstance(cv, LeaveOneOut):  # its n lists of training data take longer than all predictions
+        return leave_one_out(len(X))
     return from_splits(check_cv(cv, y).split(X, y, groups), len(X))
 
 
