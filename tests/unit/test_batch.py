@@ -265,7 +265,9 @@ def test_a_script_needs_a_guard(tmp_path):
     done = script(tmp_path, OWN.format(guard="if True:"))
     assert done.returncode == 1
     assert done.stdout == ""
-    assert "a script calls this under if __name__ == '__main__'" in done.stderr.splitlines()[-1]
+    # Python's resource tracker, a process of its own, may add what a worker that was ended left behind.
+    said = [line for line in done.stderr.splitlines() if "resource_tracker" not in line]
+    assert "a script calls this under if __name__ == '__main__'" in said[-1]
 
 
 BUSY = """
