@@ -24,3 +24,16 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.path.parent.name == "paper":  # the folder of tests, and the examples of the package's
             item.add_marker(pytest.mark.paper)
+
+
+@pytest.fixture
+def run(capsys):
+    """Run the command line: its exit status, and what it prints."""
+    from mexpress.cli import main  # noqa: PLC0415 - numpy reads the number of threads when it is imported
+
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run

@@ -384,6 +384,12 @@ def flag(value: Any, name: str, rule: str = "It must be True or False.") -> bool
     return bool(value)
 
 
+def as_many(target: Any, source: Any) -> None:
+    """Refuse target points that are not as many as the source points."""
+    if len(target) != len(source):
+        refuse("target", "It must have one point per source point.", f"{len(target)} for {len(source)}")
+
+
 def text(value: Any, name: str) -> str | None:
     """A text, or None."""
     if value is not None and not isinstance(value, str):

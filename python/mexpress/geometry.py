@@ -257,6 +257,17 @@ def nearest(places: Floats, points: Floats) -> tuple[NDArray[np.intp], Floats]:
     return index, np.asarray(np.hypot(*(places - points[index]).T))
 
 
+def grid_points(x: Floats, y: Floats) -> Floats:
+    """Return the points of a grid with these x and y, row after row, (rows * columns, 2).
+
+    Examples
+    --------
+    >>> grid_points(np.array([0.0, 2.0]), np.array([5.0, 6.0])).tolist()
+    [[0.0, 5.0], [2.0, 5.0], [0.0, 6.0], [2.0, 6.0]]
+    """
+    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+
+
 def lattice(corners: Floats, number: int) -> Floats:
     """Return about `number` points spread evenly inside a convex region.
 

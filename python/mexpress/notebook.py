@@ -164,15 +164,26 @@ def wires(name: str, lines: Sequence[Sequence[tuple[float, float]]]) -> str:
     return _picture(name, [_path(line, 'stroke-opacity="0.75"') for line in shown])
 
 
-def _path(places: Sequence[tuple[float, float]], look: str) -> str:
+def path_data(places: Iterable[tuple[float, float]]) -> str:
+    """Return a line for the attribute d of a path in SVG; it breaks where it is not known.
+
+    Examples
+    --------
+    >>> path_data([(0, 0), (1, 2), (math.nan, 0), (3, 4), (5, 5)])
+    'M0 0L1 2M3 4L5 5'
+    """
     steps, pen = [], "M"
     for x, y in places:
         if math.isfinite(x) and math.isfinite(y):
-            steps.append(f"{pen}{x:.1f} {y:.1f}")
+            steps.append(f"{pen}{round(x, 1):g} {round(y, 1):g}")
             pen = "L"
         else:
             pen = "M"
-    return f'<path d="{"".join(steps)}" fill="none" stroke="currentColor" {look}/>'
+    return "".join(steps)
+
+
+def _path(places: Sequence[tuple[float, float]], look: str) -> str:
+    return f'<path d="{path_data(places)}" fill="none" stroke="currentColor" {look}/>'
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle", weight: str = "normal") -> str:

@@ -506,33 +506,53 @@ def buffered(scheme: Scheme, points: ArrayLike, radius: float, threads: int | No
     >>> list(mx.schemes.buffered(halves, points, radius=1).held_out)
     [array([0, 1, 2, 3]), array([2, 3, 4, 5])]
     """
-    _expect_scheme(scheme)
+    expect_scheme(scheme, "k_fold(n, 5)")
     places = Places.of(points, threads)
     if len(places.points) != scheme.n_data:
         check.refuse(
             "points", f"It must have the scheme's {scheme.n_data} data.", f"{len(places.points)} points"
         )
     near = places.within(radius).held_out
-    held: list[Integers] = []
+    wide = (
+        _union(out, [near[i] for i in validated], scheme.n_data)
+        for out, validated in zip(scheme.held_out, scheme.validated, strict=True)
+    )
+    held = _compress_few(wide, "radius", radius, f"{len(scheme)} pairs")
+    return Scheme(scheme.n_data, held, scheme.validated, scheme.order)
+
+
+def _union(some: Integers, others: Iterable[Integers], n: int) -> Integers:
+    member = np.zeros(n, dtype=np.bool_)
+    member[some] = True
+    for each in others:
+        member[each] = True
+    return np.flatnonzero(member)
+
+
+def _compress_few(sets: Iterable[Integers], name: str, value: float, of: str) -> IndexSets:
+    """Index sets of arrays, as long as they fit; the argument `name` makes them large."""
+    listed: list[Integers] = []
     total = 0
-    for out, validated in zip(scheme.held_out, scheme.validated, strict=True):
-        member = np.zeros(scheme.n_data, dtype=np.bool_)
-        member[out] = True
-        for i in validated:
-            member[near[i]] = True
-        held.append(np.flatnonzero(member))
-        total += len(held[-1])
+    for each in sets:
+        listed.append(each)
+        total += len(each)
         if total > MOST_INDICES:
             rule = f"The sets must fit in {MOST_INDICES} indices: take less."
-            check.refuse(
-                "radius", rule, f"{radius}, with more than that for {len(held)} of {len(scheme)} pairs"
-            )
-    return Scheme(scheme.n_data, compress(held), scheme.validated, scheme.order)
+            check.refuse(name, rule, f"{value}, with more than that for {len(listed)} of {of}")
+    return compress(listed)
 
 
-def _expect_scheme(scheme: Any) -> None:
+def expect_scheme(scheme: Any, example: str) -> None:
+    """Refuse what is no scheme; the message has an example of one.
+
+    Examples
+    --------
+    >>> expect_scheme("folds", "k_fold(9, 3)")
+    Traceback (most recent call last):
+    TypeError: Invalid scheme. It must come from mexpress.schemes, such as k_fold(9, 3). Given 'folds'.
+    """
     if not isinstance(scheme, Scheme):
-        rule = "It must come from mexpress.schemes, such as k_fold(n, 5)."
+        rule = f"It must come from mexpress.schemes, such as {example}."
         check.refuse("scheme", rule, check.describe(scheme), TypeError)
 
 
@@ -569,17 +589,14 @@ def from_distance(delta: ArrayLike | Callable[[int], ArrayLike], tau: float, n: 
         rows, count = delta, check.count(n, "n", 1)
     else:
         rows, count = _matrix_rows(delta, n)
-    held: list[Integers] = []
-    total = 0
-    for i in range(count):
-        near = _distances(rows(i), i, count) <= reach
-        near[i] = True
-        held.append(np.flatnonzero(near))
-        total += len(held[-1])
-        if total > MOST_INDICES:
-            rule = f"The sets must fit in {MOST_INDICES} indices: take less."
-            check.refuse("tau", rule, f"{tau}, with more than that for {i + 1} of {count} data")
-    return Scheme._of(count, compress(held), singletons(count))
+    sets = (_near(_distances(rows(i), i, count), reach, i) for i in range(count))
+    return Scheme._of(count, _compress_few(sets, "tau", tau, f"{count} data"), singletons(count))
+
+
+def _near(distances: Floats, reach: float, i: int) -> Integers:
+    near = distances <= reach
+    near[i] = True
+    return np.flatnonzero(near)
 
 
 def _matrix_rows(delta: ArrayLike, n: int | None) -> tuple[Callable[[int], ArrayLike], int]:

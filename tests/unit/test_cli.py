@@ -36,16 +36,6 @@ def matches(tmp_path):
 
 
 @pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
 def model(tmp_path):
     path = tmp_path / "warp.npz"
     mx.fit_warp(SOURCE, TARGET, SOURCE[:6]).save(path)

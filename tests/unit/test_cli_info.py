@@ -20,16 +20,6 @@ WRONG = TARGET.copy()
 WRONG[[7, 30]] += [[40, 40], [90, 0]]
 
 
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
-
-
 def told(run, *arguments):
     status, text, errors = run(*arguments, "--json")
     assert (status, errors) == (0, "")

@@ -22,16 +22,6 @@ FAST = ["--max-count", "12", "--criteria", "FIT,CMPRESS", "--quiet"]
 
 
 @pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
 def depth_map(tmp_path):
     path = tmp_path / "depth.png"
     path.write_bytes(png(DEPTH))

@@ -124,6 +124,18 @@ def add_run(parser: Parser) -> None:
     add_json(parser)
 
 
+def add_matches(parser: Parser) -> None:
+    """Add the file of matches, and how it is read."""
+    parser.add_argument(
+        "matches",
+        metavar="MATCHES",
+        type=Path,
+        help="text with columns x1 y1 x2 y2, and weight if there, .npz, .npy, .parquet, or landmarks of QGIS or "
+        "BigWarp; - is standard input",
+    )
+    add_table(parser, "x1,y1,x2,y2")
+
+
 def add_threads(parser: Parser) -> None:
     """Add the options of long work."""
     threads = "at most so many (default: MEXPRESS_NUM_THREADS, or all cores)"

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mexpress.extras import required
+
 SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
@@ -43,10 +45,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
     >>> "mexpress" in script(parser, "bash"), "_shtab_compgen_files" in action.complete["bash"]
     (True, True)
     """
-    try:
-        import shtab  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise ImportError("Completion needs shtab: pip install 'mexpress[completion]'") from error
+    shtab = required("shtab", "Completion needs shtab", "completion")
     for action in _actions(parser):
         if action.type is Path:
             action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE  # type: ignore[attr-defined]

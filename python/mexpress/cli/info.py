@@ -11,9 +11,8 @@ import numpy as np
 from mexpress.cli import common
 from mexpress.cli import report as reports
 from mexpress.geometry import lattice
-from mexpress.io.archives import read_arrays
 from mexpress.models import FittedModel, Warp
-from mexpress.selection.files import load
+from mexpress.selection.files import read, rebuilt
 from mexpress.selection.fitted import FittedSelection
 
 _PLACES = 1000
@@ -35,9 +34,9 @@ def add_info(commands: argparse._SubParsersAction[common.Parser]) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    loaded = load(arguments.file)
+    header = read(arguments.file)
+    loaded = rebuilt(header, arguments.file)
     of_selection = isinstance(loaded, FittedSelection)
-    header = read_arrays(arguments.file, "FILE")
     content = {
         "file": str(arguments.file),
         "kind": loaded.kind,

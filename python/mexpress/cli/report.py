@@ -18,7 +18,7 @@ from mexpress._validation import Floats
 from mexpress.criteria import UNITLESS
 from mexpress.io.matches import write_rows
 from mexpress.selection import Selection
-from mexpress.selection.selection import plain
+from mexpress.selection.selection import plain, weights_tell_more
 
 _MOST_ROWS = 25
 """Rows of a table that can still be read at a glance."""
@@ -59,7 +59,7 @@ def table(selection: Selection, most_rows: int = _MOST_ROWS, width: int | None =
          4   ...
     """
     lines = _with_rivals(
-        selection, _by_weight(selection) if _weights_tell_more(selection) else _by_count(selection)
+        selection, _by_weight(selection) if weights_tell_more(selection) else _by_count(selection)
     )
     always = range(len(lines.heads) - len(selection.rivals), len(lines.heads))
     chosen = [k for k in lines.chosen.values() if k is not None]
@@ -87,10 +87,6 @@ class _Lines:
     curves: dict[str, Floats]
     chosen: dict[str, int | None]
     what: str
-
-
-def _weights_tell_more(selection: Selection) -> bool:
-    return len(selection.weights) > 1 and len(selection.counts) <= 4
 
 
 def _smallest(curves: Mapping[str, Floats]) -> dict[str, int | None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,14 +28,7 @@ def add_suspects(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "leaves such matches out.",
     )
     add = parser.add_argument
-    add(
-        "matches",
-        metavar="MATCHES",
-        type=Path,
-        help="text with columns x1 y1 x2 y2, and weight if there, .npz, .npy, .parquet, or landmarks of QGIS or "
-        "BigWarp; - is standard input",
-    )
-    common.add_table(parser, "x1,y1,x2,y2")
+    common.add_matches(parser)
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
     add(
         "--threshold",

@@ -35,14 +35,7 @@ def add_warp(commands: argparse._SubParsersAction[common.Parser]) -> None:
         "selection.json, curves.csv, warp.npz, curves.png, warp.png, and with both images registered.png.",
     )
     add = parser.add_argument
-    add(
-        "matches",
-        metavar="MATCHES",
-        type=Path,
-        help="text with columns x1 y1 x2 y2, and weight if there, .npz, .npy, .parquet, or landmarks of QGIS or "
-        "BigWarp; - is standard input",
-    )
-    common.add_table(parser, "x1,y1,x2,y2")
+    common.add_matches(parser)
     add("--image-size", type=_image_size, metavar="WxH", help=_IMAGE_SIZE_HELP)
     add("--no-fractional", dest="fractional", action="store_false", help="without perspective")
     add(

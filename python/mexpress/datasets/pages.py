@@ -11,6 +11,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.datasets.photography import PHOTO, photo, photographed
 from mexpress.datasets.printing import PAGE, Image, printed
+from mexpress.geometry import grid_points
 
 LATTICE = 12
 """Distance in pixels between the dense points."""
@@ -134,4 +135,4 @@ def detected(n: int, rng: np.random.Generator) -> Floats:
 def lattice() -> Floats:
     """Return the centres of square blocks of the page, (k, 2), row after row."""
     x, y = (np.arange(LATTICE / 2 - 0.5, size, LATTICE) for size in PAGE)
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+    return grid_points(x, y)

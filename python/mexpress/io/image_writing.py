@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
+from mexpress.extras import required
 from mexpress.io.archives import replacing
 from mexpress.io.netpbm import netpbm
 
@@ -67,10 +68,7 @@ def write_image(path: Path, pixels: NDArray[Any], name: str = "path", white: int
     Traceback (most recent call last):
     ValueError: Invalid path. It must end as a format that holds such an image. Given colour.jpg for shape (2, 3, 3) ...
     """
-    try:
-        from PIL import Image  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Writing images needs Pillow: pip install 'mexpress[image]'") from error
+    library = required("PIL.Image", "Writing images needs Pillow", "image")
     given = f"{path.name} for shape {pixels.shape} and type {pixels.dtype}"
     rule = "It must end as a format that holds such an image."
     if not is_writable(path):
@@ -81,11 +79,11 @@ def write_image(path: Path, pixels: NDArray[Any], name: str = "path", white: int
         with replacing(path) as file:
             file.write(netpbm(pixels, white))
         return
-    Image.init()
+    library.init()
     try:
-        image = Image.fromarray(np.ascontiguousarray(pixels))
+        image = library.fromarray(np.ascontiguousarray(pixels))
         with replacing(path) as file:
-            image.save(file, Image.EXTENSION[path.suffix.lower()])
+            image.save(file, library.EXTENSION[path.suffix.lower()])
     except (TypeError, KeyError):  # no mode has these numbers, or this Pillow does not write the format
         check.refuse(name, rule, given)
     except OSError as error:

@@ -17,6 +17,8 @@ import numpy as np
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.extras import required
+from mexpress.geometry import grid_points
 from mexpress.io.tables import AXES, plain
 
 _X = {"X", "projection_x_coordinate", "longitude", "degrees_east", *(across for across, _ in AXES)}
@@ -44,11 +46,7 @@ def import_xarray() -> ModuleType:
     >>> import_xarray().__name__
     'xarray'
     """
-    try:
-        import xarray  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise ImportError("A Dataset needs xarray: pip install 'mexpress[xarray]'") from error
-    return xarray
+    return required("xarray", "A Dataset needs xarray", "xarray")
 
 
 def is_labelled(source: Any) -> bool:
@@ -158,6 +156,6 @@ def read_labelled(array: Any) -> tuple[Floats, Floats, str | None, tuple[str, st
     values = check.real(sheet.transpose(*plane).values, "cloud")
     values = np.where(values == array.attrs.get("_FillValue", np.nan), np.nan, values)
     y, x = (coordinates(sheet, dim) for dim in plane)
-    points = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+    points = grid_points(x, y)
     unit = array.attrs.get("units")
     return points, values.ravel(), None if unit is None else str(unit), axis_names(sheet, plane)

@@ -178,8 +178,7 @@ def write_landmarks(
     -gcp 0.5 9.5 500000.0 4000000.0
     """
     pixels, places = check.points(source, "source") + _CORNER, check.points(target, "target")
-    if len(pixels) != len(places):
-        check.refuse("target", "It must have one point per source point.", f"{len(places)} for {len(pixels)}")
+    check.as_many(places, pixels)
     if not (crs is None or (isinstance(crs, str) and crs.strip())):
         rule = 'It must be a name such as "EPSG:32633", or WKT.'
         check.refuse("crs", rule, check.describe(crs), ValueError if isinstance(crs, str) else TypeError)

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mexpress.extras import required
+
 _PLAIN = {"1", "L", "LA", "RGB", "RGBA"}
 _PALETTES = {"P", "PA"}
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -39,11 +41,7 @@ def pillow() -> ModuleType:
     >>> pillow().__name__
     'PIL.Image'
     """
-    try:
-        from PIL import Image  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Reading this image needs Pillow: pip install 'mexpress[image]'") from error
-    return Image
+    return required("PIL.Image", "Reading this image needs Pillow", "image")
 
 
 def read_by_pillow(content: bytes) -> NDArray[Any]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mexpress import _validation as check
+from mexpress.extras import required
 from mexpress.io.archives import read_arrays
 from mexpress.io.endings import refuse_foreign
 from mexpress.io.labelled import is_labelled
@@ -102,13 +103,12 @@ def read_table(source: Source, name: str) -> Table:
 
 
 def _read_parquet(path: Path, name: str) -> Any:
-    try:
-        from pyarrow import ArrowException  # noqa: PLC0415  an extra, imported where used
-        from pyarrow.parquet import read_table as read  # noqa: PLC0415
-    except ImportError as error:
-        raise ImportError("Reading Parquet files needs pyarrow: pip install 'mexpress[parquet]'") from error
+    arrow, parquet = (
+        required(module, "Reading Parquet files needs pyarrow", "parquet")
+        for module in ("pyarrow", "pyarrow.parquet")
+    )
     try:
         with path.open("rb") as file:
-            return read(file)
-    except ArrowException as error:
+            return parquet.read_table(file)
+    except arrow.ArrowException as error:
         check.refuse(name, "It must be a Parquet file.", f"{path.name}: {error}")

@@ -16,7 +16,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.index_sets import IndexSets, checked, compress, singletons
 from mexpress.leastsquares.problem import Problem
-from mexpress.schemes import Scheme, leave_one_out
+from mexpress.schemes import Scheme, expect_scheme, leave_one_out
 
 if TYPE_CHECKING:
     from mexpress.leastsquares.nested import Nested
@@ -416,9 +416,7 @@ def cross_validate_all(
 
 def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
     """Refuse a scheme that is not over the model's data."""
-    if not isinstance(scheme, Scheme):
-        rule = f"It must come from mexpress.schemes, such as leave_one_out({model.n_data})."
-        check.refuse("scheme", rule, check.describe(scheme), TypeError)
+    expect_scheme(scheme, f"leave_one_out({model.n_data})")
     if scheme.n_data != model.n_data:
         rule = f"It must be over the model's {model.n_data} data."
         check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")

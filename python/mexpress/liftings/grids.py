@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.geometry import Region
+from mexpress.geometry import Region, grid_points
 
 
 def grid_counts(region: Floats, largest: int, ring: int = 0) -> list[int]:
@@ -51,7 +51,7 @@ def grid(points: ArrayLike | Region, count: int, ring: int = 0) -> Floats:
             break
         chosen = size
     x, y = (_lines(corners[:, b], chosen[b], ring) for b in range(2))
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+    return grid_points(x, y)
 
 
 def _sizes(region: Floats, ring: int) -> Iterator[tuple[int, int]]:

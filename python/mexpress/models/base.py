@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from mexpress import _validation as check
 from mexpress import notebook
 from mexpress._validation import Floats
-from mexpress.geometry import Region
+from mexpress.geometry import Region, lengths_of
 from mexpress.liftings import Lifting, check_lifting, make_lifting
 from mexpress.models import files
 from mexpress.models.observations import Observations
@@ -86,9 +86,8 @@ class Model(ABC):
             "domain": f"x {low[0]:.4g} to {high[0]:.4g}, y {low[1]:.4g} to {high[1]:.4g}",
         }
         if self.data is not None:
-            errors = np.linalg.norm(
-                (self(self.data.points) - self.data.values).reshape(len(self.data.points), -1), axis=1
-            )
+            misses = self(self.data.points) - self.data.values
+            errors = lengths_of(misses.reshape(len(misses), -1))
             rms = float(np.sqrt((errors**2).mean()))
             said["data"] = f"{len(errors)}; residuals: RMS {rms:.3g}, median {np.median(errors):.3g}"
         return notebook.card(type(self).__name__, notebook.facts(said), self._picture())

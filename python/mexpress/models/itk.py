@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.extras import required
 
 
 def simpleitk() -> ModuleType:
@@ -38,13 +39,7 @@ def simpleitk() -> ModuleType:
     >>> simpleitk().__name__
     'SimpleITK'
     """
-    try:
-        import SimpleITK  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise ImportError(
-            "A transform of SimpleITK needs SimpleITK: pip install 'mexpress[simpleitk]'"
-        ) from error
-    return SimpleITK
+    return required("SimpleITK", "A transform of SimpleITK needs SimpleITK", "simpleitk")
 
 
 def check_plane(image: Any, name: str) -> Any:

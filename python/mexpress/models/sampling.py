@@ -5,8 +5,6 @@ Examples
 >>> x, y = regular(Box(np.zeros(2), np.array([4.0, 2.0]), 8.0), step=2)
 >>> x, y
 (array([0., 2., 4.]), array([0., 2.]))
->>> positions(x, y)[:4].tolist()
-[[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0]]
 """
 
 from __future__ import annotations
@@ -154,11 +152,6 @@ def unit_of(unit: Any, name: str) -> str | None:
     if not (unit is None or isinstance(unit, str)):
         check.refuse(name, 'It must be the name of a unit, such as "m".', check.describe(unit), TypeError)
     return unit
-
-
-def positions(x: Floats, y: Floats) -> Floats:
-    """Return the positions of all samples, row after row, (rows * columns, 2)."""
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
 
 
 def _grid_shape(shape: Any) -> tuple[int, int]:

@@ -14,14 +14,14 @@ from mexpress import _validation as check
 from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.geometry import Region, area, inside
+from mexpress.geometry import Region, area, grid_points, inside
 from mexpress.io import meshes
 from mexpress.io.labelled import import_xarray
 from mexpress.models.base import nearest_constant, row_by_row
 from mexpress.models.design import CardinalBasis, Design, linear_design
 from mexpress.models.expectation import EXTRAPOLATE, NAN, FittedModel, check_outside
 from mexpress.models.observations import Observations
-from mexpress.models.sampling import Box, Sheet, like_another, named, names_of, positions, regular, unit_of
+from mexpress.models.sampling import Box, Sheet, like_another, named, names_of, regular, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -84,7 +84,7 @@ class SurfaceGrid:
     @property
     def points(self) -> Floats:
         """Positions of all samples, row after row, (rows * columns, 2)."""
-        return positions(self.x, self.y)
+        return grid_points(self.x, self.y)
 
     @cached_property
     def error(self) -> Floats:
@@ -491,7 +491,7 @@ class Surface(FittedModel):
         self, function: Callable[[Floats], Floats], x: Floats, y: Floats, wanted: NDArray[np.bool_]
     ) -> Floats:
         """Return values of a function at the samples of a grid that are wanted, (rows, columns, ...), NaN at others."""
-        found = function(positions(x, y)[wanted.ravel()])
+        found = function(grid_points(x, y)[wanted.ravel()])
         values = np.full((*wanted.shape, *found.shape[1:]), np.nan)
         values[wanted] = found
         return values

@@ -150,10 +150,7 @@ class Warp(FittedModel):
         True
         """
         points, values = check.points(source, "source").copy(), check.points(target, "target").copy()
-        if len(points) != len(values):
-            check.refuse(
-                "target", "It must have one point per source point.", f"{len(values)} for {len(points)}"
-            )
+        check.as_many(values, points)
         check_extent(values, "target")
         usual = min(max(len(points) // _SHARE, _FEWEST), _MOST)
         most = usual if count is None else check.count(count, "count", _FEWEST)
@@ -194,10 +191,7 @@ class Warp(FittedModel):
         array([5.])
         """
         points, values = check.queries(source, "source"), check.queries(target, "target")
-        if len(points) != len(values):
-            check.refuse(
-                "target", "It must have one point per source point.", f"{len(values)} for {len(points)}"
-            )
+        check.as_many(values, points)
         distances = _norm(values - self(points))
         known = ~np.isnan(points).any(axis=1) & ~np.isnan(values).any(axis=1)
         return np.where(known & np.isnan(distances), np.inf, distances)

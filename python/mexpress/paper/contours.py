@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.extras import required
 
 if TYPE_CHECKING:
     from mexpress.models.warp import Warp
@@ -157,14 +158,11 @@ def outlines(mask: Any) -> Rings:
     >>> sorted(outlines(mask)[0].tolist())
     [[1.5, 1.0], [2.0, 0.5], [2.0, 1.5], [2.5, 1.0]]
     """
-    try:
-        from skimage.measure import find_contours  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Outlines of masks need scikit-image: pip install 'mexpress[paper]'") from error
+    library = required("skimage.measure", "Outlines of masks need scikit-image", "paper")
     inside = np.asarray(mask)
     if inside.dtype != np.bool_ or inside.ndim != 2:
         check.refuse("mask", "It must be a bool array (height, width).", check.describe(inside))
-    trace: Callable[..., list[Floats]] = find_contours
+    trace: Callable[..., list[Floats]] = library.find_contours
     framed = np.pad(inside, 1).astype(np.float64)  # else a ring that meets the border stays open
     return tuple(np.ascontiguousarray(ring[:-1, ::-1]) - 1.0 for ring in trace(framed, 0.5))
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.extras import required
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,12 +33,8 @@ FEW = 60
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure that a notebook shows without pyplot; sizes in inches."""
-    try:
-        from matplotlib.figure import Figure  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        message = "Plots need matplotlib: pip install 'mexpress[plot]'"
-        raise ImportError(message) from error
-    return _class_of_figures(Figure)(figsize=(width, height), dpi=110, layout="constrained")
+    matplotlib = required("matplotlib.figure", "Plots need matplotlib", "plot")
+    return _class_of_figures(matplotlib.Figure)(figsize=(width, height), dpi=110, layout="constrained")
 
 
 @cache

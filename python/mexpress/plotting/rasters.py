@@ -73,6 +73,19 @@ def sampled(image: Floats, positions: Floats) -> Floats:
     return values
 
 
+def pulled(image: Floats, step: int, positions: Floats, frame: Floats) -> Floats:
+    """Return a reduced image at positions of its own pixels, one for each pixel of a frame.
+
+    Examples
+    --------
+    >>> image = np.array([[0.0, 1.0], [2.0, 3.0]])
+    >>> pulled(image, 1, pixel_centres(image, 1), image).tolist()
+    [[0.0, 1.0], [2.0, 3.0]]
+    """
+    values = sampled(image, (positions - (step - 1) / 2) / step)
+    return values.reshape(frame.shape[:2] + image.shape[2:])
+
+
 def gray_behind(image: Floats) -> Floats:
     """Return the image with a light gray where it is NaN."""
     return np.where(np.isnan(image), 0.85, image)

@@ -225,9 +225,7 @@ def plot_registration(
     second, target_step = rasters.reduced(rasters.as_image(target_image, "target_image"))
     positions = rasters.pixel_centres(first, step)
     mapped = warp(positions)
-    pulled = rasters.sampled(second, (mapped - (target_step - 1) / 2) / target_step).reshape(
-        first.shape[:2] + second.shape[2:]
-    )
+    pulled = rasters.pulled(second, target_step, mapped, first)
     overlay = rasters.blended(first, pulled)
     extent = rasters.extent(first, step)
     if ax is not None:

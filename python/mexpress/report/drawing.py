@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from mexpress.notebook import path_data
 from mexpress.report.scales import Scale, written
 
 WIDTH = 560.0
@@ -30,17 +30,10 @@ def line(places: Iterable[tuple[float, float]], look: str) -> str:
 
     Examples
     --------
-    >>> line([(0, 0), (1, 2), (math.nan, 0), (3, 4), (5, 5)], 'class="curve"')
+    >>> line([(0, 0), (1, 2), (float("nan"), 0), (3, 4), (5, 5)], 'class="curve"')
     '<path d="M0 0L1 2M3 4L5 5" class="curve"/>'
     """
-    steps, pen = [], "M"
-    for x, y in places:
-        if math.isfinite(x) and math.isfinite(y):
-            steps.append(f"{pen}{round(x, 1):g} {round(y, 1):g}")
-            pen = "L"
-        else:
-            pen = "M"
-    return f'<path d="{"".join(steps)}" {look}/>'
+    return f'<path d="{path_data(places)}" {look}/>'
 
 
 def axes(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress._validation import Floats
-from mexpress.geometry import lattice, nearest
+from mexpress.geometry import grid_points, lattice, nearest
 from mexpress.models import FittedModel
 from mexpress.plotting.figures import percentile
 from mexpress.report.curves import Curves
@@ -100,17 +100,6 @@ def distance_figure(model: FittedModel, unit: str) -> str:
         chosen=usual,
         title="Error to expect by distance",
     ).figure()
-
-
-def grid_points(x: Floats, y: Floats) -> Floats:
-    """Return the points of a grid, row after row.
-
-    Examples
-    --------
-    >>> grid_points(np.array([0.0, 1.0]), np.array([5.0])).tolist()
-    [[0.0, 5.0], [1.0, 5.0]]
-    """
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
 
 
 def painted(values: Floats, low: float, high: float) -> NDArray[np.uint8]:

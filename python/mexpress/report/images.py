@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress._validation import Floats
+from mexpress.extras import required
 from mexpress.models import Warp
 from mexpress.plotting import rasters
 
@@ -51,8 +52,7 @@ def compared_images(warp: Warp, source_image: ArrayLike, target_image: ArrayLike
     centres = rasters.pixel_centres(first, step)
 
     def pulled(positions: Floats) -> Floats:
-        values = rasters.sampled(second, (positions - (target_step - 1) / 2) / target_step)
-        return rasters.gray_behind(values.reshape(first.shape[:2] + second.shape[2:]))
+        return rasters.gray_behind(rasters.pulled(second, target_step, positions, first))
 
     size = first.shape[1], first.shape[0]
     layers = [
@@ -92,11 +92,8 @@ def jpeg(image: Floats) -> str:
     >>> jpeg(np.zeros((8, 8)))[:27]
     'data:image/jpeg;base64,/9j/'
     """
-    try:
-        from PIL import Image  # noqa: PLC0415  an extra, imported where used
-    except ImportError as error:
-        raise ImportError("Images in a report need Pillow: pip install 'mexpress[image]'") from error
+    library = required("PIL.Image", "Images in a report need Pillow", "image")
     samples: NDArray[np.uint8] = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
     file = io.BytesIO()
-    Image.fromarray(samples).save(file, "JPEG", quality=_QUALITY, optimize=True)
+    library.fromarray(samples).save(file, "JPEG", quality=_QUALITY, optimize=True)
     return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mexpress._validation import Floats, Integers
+from mexpress.geometry import lengths_of
 from mexpress.models import Surface
 from mexpress.plotting.figures import percentile
 from mexpress.report.errors import distance_figure, error_figure, residual_dots
@@ -130,14 +131,14 @@ def _residuals(
     area = Map.over(surface.domain, y_down)
     misses = values[kept] - surface(points[kept])
     signed = misses.ndim == 1
-    sizes = np.abs(misses) if signed else np.linalg.norm(misses, axis=1)
+    sizes = np.abs(misses) if signed else lengths_of(misses)
     largest = percentile(sizes, 98) or 1.0
     shown, low, anchors = (misses, -largest, SIGNED) if signed else (sizes, 0.0, HEAT)
     colours = hexadecimal(colours_of(shown, low, largest, anchors))
     words = [f"datum {k}: {miss:.3g} {unit}" for k, miss in zip(kept.tolist(), shown.tolist(), strict=True)]
     dots, hidden = residual_dots(area, points[kept], sizes, colours, words, _MOST)
     lost = values[left_out] - surface(points[left_out])
-    wrong = lost.tolist() if signed else np.linalg.norm(lost, axis=1).tolist()
+    wrong = lost.tolist() if signed else lengths_of(lost).tolist()
     marks = [
         f"datum {k}: {miss:.3g} {unit}, left out" for k, miss in zip(left_out.tolist(), wrong, strict=True)
     ]

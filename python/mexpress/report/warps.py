@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mexpress._validation import Floats, Integers
-from mexpress.geometry import diagonal
+from mexpress.geometry import diagonal, grid_points
 from mexpress.models import Warp
 from mexpress.plotting.figures import percentile
 from mexpress.plotting.warps import grid_lines
 from mexpress.report.drawing import line
-from mexpress.report.errors import distance_figure, error_figure, grid_points, painted, residual_dots
+from mexpress.report.errors import distance_figure, error_figure, painted, residual_dots
 from mexpress.report.images import compared_images
 from mexpress.report.maps import FIELD, HEAT, Map, colour_bar, colours_of, crosses, hexadecimal
 

@@ -66,9 +66,7 @@ class Matches:
             )
         # Copies: models keep their data, whatever becomes of the caller's arrays.
         source, target = check.points(source, "source").copy(), check.points(target, "target").copy()
-        if len(source) != len(target):
-            rule = "It must have one point per source point."
-            check.refuse("target", rule, f"{len(target)} for {len(source)}")
+        check.as_many(target, source)
         check_extent(target, "target")
         size, shares = check.image_size(image_size), _weights(weights, len(source))
         return cls(source, target, shares, size)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress.io.archives import read_arrays
@@ -44,6 +47,17 @@ def load(path: str | os.PathLike[str]) -> Any:
     ...     load(f"{folder}/warp.npz")
     Warp(fractional tps, 3 control points)
     """
+    return rebuilt(read(path), path)
+
+
+def read(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a file that this version of mexpress can rebuild.
+
+    Raises
+    ------
+    ValueError, OSError
+        As of `load`.
+    """
     path = check.path(path)
     try:
         arrays = read_arrays(path, "array")
@@ -62,6 +76,12 @@ def load(path: str | os.PathLike[str]) -> Any:
         )
     if name != files.FORMAT:
         raise _invalid(path, f"which holds {name!r}")
+    return arrays
+
+
+def rebuilt(arrays: Mapping[str, NDArray[Any]], path: str | os.PathLike[str]) -> Any:
+    """Return what the arrays of a file are, the path of which messages name."""
+    kind, path = str(arrays["kind"]), Path(path)
     try:
         return files.KINDS[kind].from_arrays(arrays)
     except KeyError as error:

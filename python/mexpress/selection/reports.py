@@ -93,12 +93,7 @@ class Account:
     def _result(self) -> str:
         scores = self.scores
         unit = f" {self.unit}" if self.unit and scores.criterion not in UNITLESS else ""
-        what = f"{scores.count} control points"
-        if scores.rival is not None:
-            what = f"the {scores.rival}"
-        elif len(scores.weights) > 1:
-            what += f" and smoothing {scores.smoothing:.3g}"
-        return f"{scores.criterion} selects {what}: {scores.score:.4g}{unit}"
+        return f"{scores.sentence}: {scores.score:.4g}{unit}"
 
     def _numbers(self) -> list[tuple[str, str]]:
         """The numbers that matter most."""

@@ -15,6 +15,7 @@ from mexpress import _validation as check
 from mexpress import notebook
 from mexpress._validation import Floats, Integers
 from mexpress.criteria import UNITLESS
+from mexpress.extras import required
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,11 +97,23 @@ class Selection:
         return f"{type(self).__name__}({chosen}, {self.criterion}={self.score:.4g})"
 
     def _repr_html_(self) -> str:
-        named = f"the {self.rival}" if self.rival is not None else f"{self.count} control points"
-        several = len(self.weights) > 1 and self.rival is None
-        smoothed = f" and smoothing {self.smoothing:.3g}" if several else ""
-        title = f"{type(self).__name__}: {self.criterion} selects {named}{smoothed}"
-        return notebook.card(title, *self._parts())
+        return notebook.card(f"{type(self).__name__}: {self.sentence}", *self._parts())
+
+    @property
+    def sentence(self) -> str:
+        """What the criterion selects, in words.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).sentence
+        'FIT selects 4 control points'
+        """
+        what = f"the {self.rival}" if self.rival is not None else f"{self.count} control points"
+        if self.rival is None and len(self.weights) > 1:
+            what += f" and smoothing {self.smoothing:.3g}"
+        return f"{self.criterion} selects {what}"
 
     def _parts(self) -> list[str]:
         """What a notebook shows below the title, as HTML."""
@@ -324,11 +337,7 @@ class Selection:
         2  None      4        0.0         NaN  3.0      True
         3  None      4        1.0         NaN  5.0     False
         """
-        try:
-            import pandas as pd  # noqa: PLC0415 - an extra
-        except ImportError as error:
-            raise ImportError("Tables of pandas need it: pip install 'mexpress[pandas]'") from error
-
+        pd = required("pandas", "Tables of pandas need it", "pandas")
         names = [None, *self.rivals]
         tables = [entrant.columns() for entrant in (self, *self.rivals.values())]
         sizes = [len(table["count"]) for table in tables]

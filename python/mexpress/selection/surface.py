@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
+from mexpress.geometry import lengths_of
 from mexpress.liftings import Lifting, PiecewiseAffine, ThinPlateSpline, lifting_named
 from mexpress.models import CardinalBasis, Design, Surface
 from mexpress.placement import farthest_order, residual_order
@@ -157,8 +157,7 @@ class SurfaceSelection(FittedSelection[Surface]):
             y_down=y_down,
             unit=unit or "unit of the data",
         )
-        misses = (self.values - self.surface(self.points)).reshape(len(self.points), -1)
-        residuals = np.linalg.norm(misses, axis=1)
+        residuals = lengths_of((self.values - self.surface(self.points)).reshape(len(self.points), -1))
         self._report(path, figures, residuals, unit, None, command)
 
     def plot_surface(

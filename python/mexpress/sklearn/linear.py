@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import linear_model
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from mexpress import _validation as check
@@ -71,7 +72,8 @@ class _ClosedForm:
         >>> LinearRegression().cross_val_predict([[0.0], [1.0], [2.0]], [0.0, 1.0, 5.0], cv=3).round(6)
         array([-3. ,  2.5,  2. ])
         """
-        regression = Regression.of(X, y, cv, groups, sample_weight)
+        features, responses = check_X_y(X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        regression = Regression.of(features, responses, cv, groups, sample_weight)
         expect_partition(regression.scheme)
         predictions = np.empty_like(regression.y)
         predictions[regression.scheme.validated.indices] = self._held_out(regression, threads)
@@ -118,7 +120,8 @@ class _ClosedForm:
         array([-3. , -1.5, -3. ])
         """
         scorer_of(scoring)
-        regression = Regression.of(X, y, cv, groups, sample_weight)
+        features, responses = check_X_y(X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        regression = Regression.of(features, responses, cv, groups, sample_weight)
         truth, predictions = (
             regression.as_given(each) for each in (regression.validated, self._held_out(regression, threads))
         )
@@ -177,6 +180,12 @@ class FittedByRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: i
     def _ridge(self, alpha: ArrayLike) -> linear_model.Ridge:
         return linear_model.Ridge(alpha, fit_intercept=self.fit_intercept, solver="svd")
 
+    def _fitted(self, alpha: ArrayLike, X: Floats, y: Floats, weights: Floats | None) -> Self:
+        """Fit checked data."""
+        final = self._ridge(alpha).fit(X, y, weights)
+        self.coef_, self.intercept_ = final.coef_, final.intercept_
+        return self
+
     def predict(self, X: ArrayLike) -> Floats:
         """Predict the responses, (k,) or (k, r), of features (k, p)."""
         check_is_fitted(self)
@@ -223,10 +232,7 @@ class Ridge(_ClosedForm, FittedByRidge):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
         """Fit responses (n,) or (n, r) to features (n, p), with weights of the data, (n,)."""
         features, responses = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        weights = None if sample_weight is None else checked_weights(sample_weight, len(features))
-        final = self._ridge(self.alpha).fit(features, responses, weights)
-        self.coef_, self.intercept_ = final.coef_, final.intercept_
-        return self
+        return self._fitted(self.alpha, features, responses, checked_weights(sample_weight, len(features)))
 
     def _alphas(self, responses: int) -> Floats:
         rule = f"It must be a number of at least 0, or {responses}, one for each response."

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils import check_array, check_X_y
+from sklearn.utils import check_array
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
@@ -32,14 +32,12 @@ class Regression:
     scheme: Scheme
 
     @classmethod
-    def of(cls, X: Any, y: Any, cv: Any, groups: Any, sample_weight: ArrayLike | None) -> Regression:
-        """Check arguments as scikit-learn's estimators do."""
-        features, responses = check_X_y(X, y, dtype=np.float64, multi_output=True, y_numeric=True)
-        responses = responses.astype(np.float64)
-        weights = None if sample_weight is None else checked_weights(sample_weight, len(features))
-        scheme = scheme_of(cv, features, responses, groups)
-        columns = responses.reshape(len(responses), -1)
-        return cls(features, columns, responses.ndim == 1, weights, scheme)
+    def of(cls, X: Floats, y: Any, cv: Any, groups: Any, sample_weight: ArrayLike | None) -> Regression:
+        """Return the regression of features and responses that scikit-learn has checked."""
+        responses = np.asarray(y, dtype=np.float64)
+        weights = checked_weights(sample_weight, len(X))
+        scheme = scheme_of(cv, X, responses, groups)
+        return cls(X, responses.reshape(len(responses), -1), responses.ndim == 1, weights, scheme)
 
     def without_absent(self) -> Regression:
         """Return the regression of the data whose weight is above 0."""
@@ -77,8 +75,10 @@ class Regression:
         return predictions
 
 
-def checked_weights(sample_weight: ArrayLike, n: int) -> Floats:
-    """Check weights of the data: n numbers of at least 0, not all 0, or one number for all."""
+def checked_weights(sample_weight: ArrayLike | None, n: int) -> Floats | None:
+    """Check weights of the data: n numbers of at least 0, not all 0, one number for all, or None."""
+    if sample_weight is None:
+        return None
     shares = np.full(n, sample_weight) if isinstance(sample_weight, Real) else sample_weight
     weights = check_array(shares, ensure_2d=False, dtype=np.float64, input_name="sample_weight")
     rule = f"It must be {n} numbers of at least 0, one for each datum, not all zero."

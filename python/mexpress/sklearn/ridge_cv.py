@@ -106,11 +106,11 @@ class RidgeCV(FittedByRidge):
             Itself.
         """
         alphas = _checked_alphas(self.alphas)
-        features, _ = validate_data(
+        features, responses = validate_data(
             self, X, y, multi_output=True, y_numeric=True, dtype=np.float64, ensure_min_samples=2
         )
         cv = leave_one_out(len(features)) if self.cv is None else self.cv
-        regression = Regression.of(features, y, cv, groups, sample_weight).without_absent()
+        regression = Regression.of(features, responses, cv, groups, sample_weight).without_absent()
         scores = np.array(
             [self._scores(regression, predictions) for predictions in self._tried(regression, alphas)]
         )
@@ -123,11 +123,8 @@ class RidgeCV(FittedByRidge):
         self.cv_scores_ = scores
         if not self.alpha_per_target or regression.flat:
             self.alpha_, self.best_score_, self.cv_scores_ = alphas[best[0]], scores[best[0], 0], scores[:, 0]
-        final = self._ridge(self.alpha_).fit(
-            regression.X, regression.as_given(regression.y), regression.weights
-        )
-        self.coef_, self.intercept_ = final.coef_, final.intercept_
-        return self
+        y_present = regression.as_given(regression.y)
+        return self._fitted(self.alpha_, regression.X, y_present, regression.weights)
 
     def _tried(self, regression: Regression, alphas: Floats) -> Iterator[Floats]:
         """Predictions of the validated data, (t, r), with every weight."""

@@ -116,9 +116,8 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
         )
         if features.shape[1] < 2:
             check.refuse("X", "It must have two columns at least, x and y.", "n_features = 1")
-        weights = (
-            np.ones(len(features)) if sample_weight is None else checked_weights(sample_weight, len(features))
-        )
+        given = checked_weights(sample_weight, len(features))
+        weights = np.ones(len(features)) if given is None else given
         some = weights > 0
         features, values, weights = features[some], values[some].astype(np.float64), weights[some]
         self.coef_ = LinearRegression().fit(features, values, weights).coef_[..., 2:]
