@@ -36,6 +36,11 @@ def nested(A=A, b=B, sizes=(1, 3), schemes=None, coupling=1, **options):
     return mx.cross_validate_nested(A, b, sizes, given, coupling, **options)["loo"]
 
 
+def batch(A=(A, A), b=(B, B), scheme=LOO, coupling=1, **options):
+    """Scores of two problems in one call."""
+    return mx.cross_validate_batch(list(A), list(b), scheme, coupling, **options).scores
+
+
 def select(points=POINTS, values=TARGET, **options):
     """Select a surface of up to six control points."""
     usual = {"criterion": "NN02PTS", "max_count": 6, "smoothing": 0}
@@ -112,6 +117,9 @@ ARRAYS = {
     "Warp": ("points", POINTS, WARP),
     "from_estimate source": ("source", POINTS, lambda x: estimated(x, TARGET)),
     "from_estimate target": ("target", TARGET, lambda x: estimated(POINTS, x)),
+    "cross_validate_batch A": ("A", A, lambda x: batch(A=[x, x])),
+    "cross_validate_batch b": ("b", B, lambda x: batch(b=[B, x])),
+    "cross_validate_batch weights": ("weights", np.arange(1.0, N + 1), lambda x: batch(weights=[x, x])),
     "cross_validate_nested A": ("A", A, nested),
     "cross_validate_nested b": ("b", B, lambda x: nested(b=x)),
     "cross_validate_nested weights": ("weights", np.arange(1.0, N + 1), lambda x: nested(weights=x)),
@@ -269,6 +277,8 @@ NUMBERS = {
         2,
         lambda x: mx.select_warp(POINTS, TARGET, counts=[3, 4], threads=x, smoothing=0).curves["ER10"],
     ),
+    "cross_validate_batch coupling": ("coupling", 2, lambda x: batch(scheme=s.leave_one_out, coupling=x)),
+    "cross_validate_batch threads": ("threads", 2, lambda x: batch(threads=x)),
     "cross_validate_nested coupling": ("coupling", 2, lambda x: nested(schemes=HALF, coupling=x)),
     "cross_validate_nested threads": ("threads", 2, lambda x: nested(threads=x)),
     "select_surface max_count": ("max_count", N, lambda x: select(max_count=x).counts),

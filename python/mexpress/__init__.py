@@ -21,7 +21,14 @@ if TYPE_CHECKING:
     from mexpress import criteria, datasets, io, liftings, placement, schemes, simulation
     from mexpress.batch import map_problems
     from mexpress.io.clouds import Cloud, read_cloud
-    from mexpress.leastsquares import CrossValidation, LeastSquares, RankLossWarning, cross_validate_nested
+    from mexpress.leastsquares import (
+        BatchCrossValidation,
+        CrossValidation,
+        LeastSquares,
+        RankLossWarning,
+        cross_validate_batch,
+        cross_validate_nested,
+    )
     from mexpress.models import Surface, Warp
     from mexpress.selection import (
         Selection,
@@ -38,6 +45,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "BatchCrossValidation",
     "Cloud",
     "CrossValidation",
     "LeastSquares",
@@ -48,6 +56,7 @@ __all__ = [
     "Warp",
     "WarpSelection",
     "criteria",
+    "cross_validate_batch",
     "cross_validate_nested",
     "datasets",
     "fit_surface",
@@ -68,7 +77,14 @@ __all__ = [
 _HOMES = {
     "mexpress.batch": ["map_problems"],
     "mexpress.io.clouds": ["Cloud", "read_cloud"],
-    "mexpress.leastsquares": ["CrossValidation", "LeastSquares", "RankLossWarning", "cross_validate_nested"],
+    "mexpress.leastsquares": [
+        "BatchCrossValidation",
+        "CrossValidation",
+        "LeastSquares",
+        "RankLossWarning",
+        "cross_validate_batch",
+        "cross_validate_nested",
+    ],
     "mexpress.models": ["Surface", "Warp"],
     "mexpress.selection": [
         "Selection",

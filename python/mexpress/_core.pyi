@@ -10,6 +10,7 @@ _Indices: TypeAlias = NDArray[np.uintp]
 _Sets: TypeAlias = tuple[_Integers, _Integers]
 _ReadSets: TypeAlias = tuple[_Indices, _Indices]
 _Scheme: TypeAlias = tuple[tuple[_ReadSets, _ReadSets] | LazyNeighbourhoods, _Indices | None]
+_Run: TypeAlias = tuple[_Floats, _Floats, _Floats | None, _Scheme, _ReadSets]
 _Problem: TypeAlias = tuple[_Floats, _Floats, _Floats | None, _Floats]
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "PenaltyPath",
     "are_sets",
     "cardinal_splines",
+    "cross_validate_batch",
     "hilbert_order",
     "largest",
     "leading_bending",
@@ -106,6 +108,9 @@ class PenaltyPath:
 def are_sets(offsets: _Indices, items: _Indices, bound: int) -> bool: ...
 def largest(values: _Floats) -> float: ...
 def cardinal_splines(kernels: _Floats, affine: _Floats, threads: int) -> tuple[_Floats, _Floats]: ...
+def cross_validate_batch(
+    runs: Sequence[_Run], threads: int
+) -> tuple[_Floats, _Floats, _Floats, _Floats, _Integers, tuple[_Integers, _Integers]]: ...
 def leading_bending(kernels: _Floats, shares: _Floats, threads: int) -> _Floats: ...
 def reduced_bending(rows: _Floats, affine: _Floats, threads: int) -> _Floats: ...
 def product(a: _Floats, b: _Floats, threads: int) -> _Floats: ...

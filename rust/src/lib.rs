@@ -47,6 +47,8 @@
 //! | `holdout::rescue::refine` | pairs close to rank loss: the closed form corrected, several at a time |
 //! | [`holdout::rescue::double_double`] | the same with twice the digits, for nested models |
 //! | [`holdout::rescue::refit`] | pairs that may have lost rank: the training rows reduced anew |
+//! | [`batch`] | many small problems in one call |
+//! | `batch::lanes`, `batch::pairs` | fits and pairs of problems of one shape, each in a lane of the vectors |
 //! | [`near::neighbours`], [`near::delaunay`] | which data are near which |
 //! | [`near::distance_matching`] | how many near data to hold out, so that predictions reach as far as the use wants |
 //! | [`near::hilbert`] | an order in which successive data are near each other |
@@ -98,6 +100,7 @@
 
 #![deny(missing_docs)]
 
+pub mod batch;
 pub mod error;
 pub mod evaluate;
 pub mod fit;

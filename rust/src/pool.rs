@@ -26,6 +26,11 @@ impl<'a> Pool<'a> {
         Self { threads: threads.max(1), cancel }
     }
 
+    /// This thread alone, called off alike.
+    pub fn alone(&self) -> Self {
+        Self { threads: 1, ..*self }
+    }
+
     /// How many threads there are at most.
     pub fn threads(&self) -> usize {
         self.threads

@@ -36,6 +36,7 @@ import mexpress as mx
 
 s = mx.schemes
 COVERED = {
+    "BatchCrossValidation",  # a result
     "Cloud",
     "CrossValidation",  # a result
     "LeastSquares",
@@ -46,6 +47,7 @@ COVERED = {
     "Warp",
     "WarpSelection",  # a result
     "criteria",  # test_criteria.py
+    "cross_validate_batch",
     "cross_validate_nested",
     "datasets",  # test_datasets.py
     "fit_surface",

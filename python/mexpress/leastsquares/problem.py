@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
@@ -39,8 +39,8 @@ class Problem:
         design = check.matrix(A, "A")
         m, p = design.shape
         responses = check.columns(b, "b", m)
-        rows = _couple(coupling, m)
-        row_weights, exponent = _weigh(weights, rows, m)
+        rows = couple(coupling, m)
+        row_weights, exponent = _weigh(weights, rows)
         extra = np.zeros((0, p)) if penalty is None else _penalise(penalty, p, exponent)
         return cls(design, responses, rows, row_weights, extra)
 
@@ -55,8 +55,8 @@ class Problem:
         return self.design, self.responses.reshape(len(self.design), -1), roots, self.penalty
 
 
-def _couple(coupling: Any, m: int) -> IndexSets:
-    """The rows of every datum."""
+def couple(coupling: Any, m: int) -> IndexSets:
+    """Check a coupling, and return the rows of every datum."""
     rule = f"It must be a number of rows, or the datum (0 to n - 1) of each of the {m} rows."
     if isinstance(coupling, int) or check.array(coupling, "coupling", rule).ndim == 0:
         g = check.count(coupling, "coupling", 1)
@@ -73,8 +73,8 @@ def _couple(coupling: Any, m: int) -> IndexSets:
     return IndexSets(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), order)
 
 
-def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats | None, int]:
-    """Weight of every row over the power of four that brings the largest weight near one, and the exponent.
+def _weigh(weights: ArrayLike | None, rows: IndexSets) -> tuple[Floats | None, int]:
+    """Check weights of the data; the weight of every row over a power of four, and its exponent.
 
     Fits and scores depend on ratios of weights alone, and roots of these weights times responses do not overflow.
     """
@@ -91,10 +91,20 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets, m: int) -> tuple[Floats |
     if data_weights.min() < data_weights.max() / WEIGHT_RATIO:
         rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
         check.refuse("weights", rule, f"{data_weights.max():g} and {data_weights.min():g}")
-    exponent = int(np.frexp(data_weights.max())[1]) // 2
-    row_weights = np.empty(m)
-    row_weights[rows.indices] = np.repeat(np.ldexp(data_weights, -2 * exponent), rows.sizes)
-    return row_weights, exponent
+    row_weights, exponent = scaled_weights(data_weights, rows)
+    return row_weights, int(exponent)
+
+
+def scaled_weights(weights: Floats, rows: IndexSets) -> tuple[Floats, NDArray[np.intc]]:
+    """Weights of the rows over the power of four that brings the largest near one, (..., m), and its exponents, (...).
+
+    Of the weights of data, (..., n), of one problem or of several.
+    """
+    exponents = np.frexp(weights.max(axis=-1))[1] // 2
+    row_weights = np.empty((*weights.shape[:-1], len(rows.indices)))
+    scaled = np.ldexp(weights, -2 * exponents[..., None])
+    row_weights[..., rows.indices] = np.repeat(scaled, rows.sizes, axis=-1)
+    return row_weights, exponents
 
 
 def penalty_rows(penalty: ArrayLike, p: int) -> Floats:

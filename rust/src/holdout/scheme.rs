@@ -58,7 +58,7 @@ impl<'a> Held<'a> {
         }
     }
 
-    pub(super) fn members(self, pair: usize, out: &mut Vec<usize>) {
+    pub(crate) fn members(self, pair: usize, out: &mut Vec<usize>) {
         match self {
             Self::Sets(sets) => {
                 out.clear();
@@ -76,7 +76,7 @@ impl Scheme<'_> {
     }
 
     /// Fails unless these are pairs of sets of the data that have these rows.
-    pub(super) fn check(&self, rows: &Sets) -> Result<(), Error> {
+    pub(crate) fn check(&self, rows: &Sets) -> Result<(), Error> {
         let count = self.held.len();
         if let Held::Sets(held) = self.held {
             check_indices(held, rows.len())?;

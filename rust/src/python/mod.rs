@@ -3,6 +3,7 @@
 //! Checks that deserve a sentence are made in Python; what is checked here keeps memory safe, no more.
 
 mod arrays;
+mod batch;
 mod bending;
 mod evaluate;
 mod factor;
@@ -24,6 +25,8 @@ mod _core {
 
     #[pymodule_export]
     use super::arrays::{are_sets, largest};
+    #[pymodule_export]
+    use super::batch::cross_validate_batch;
     #[pymodule_export]
     use super::bending::{cardinal_splines, leading_bending, product, reduced_bending};
     #[pymodule_export]
