@@ -208,8 +208,8 @@ impl<'a, S: Simd> Fits<'a, S> {
         for x in self.coefficients.chunks_exact_mut(columns) {
             for i in 0..columns {
                 let mut sum = simd.splat_f64s(0.0);
-                for k in i..columns {
-                    sum = simd.mul_add_f64s(self.triangle[k * columns + i], x[k], sum);
+                for (k, x) in x.iter().enumerate().skip(i) {
+                    sum = simd.mul_add_f64s(self.triangle[k * columns + i], *x, sum);
                 }
                 x[i] = sum;
             }
