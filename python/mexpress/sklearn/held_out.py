@@ -26,6 +26,9 @@ from mexpress.leastsquares.penalty_path import PenaltyPath
 from mexpress.schemes import Scheme
 from mexpress.sklearn.least_norm import LinearFit, fits_without
 
+_DRAWN = 1000
+"""Data whose values are tried for one near the mean; all of them would take as long as half a fit."""
+
 _UNEVEN = 1e10
 """Ratio of the sizes of features from which one decomposition for all ridges would lose digits."""
 
@@ -100,7 +103,8 @@ class LinearProblem:
         """What is taken off features, (p,), and responses, (r,)."""
         if not self.fit_intercept:
             return np.zeros(self.X.shape[1]), np.zeros(self.y.shape[1])
-        return _central(self.X[self.present]), _central(self.y[self.present])
+        some = slice(None) if self.weights is None else self.present  # a slice copies nothing
+        return _central(self.X[some]), _central(self.y[some])
 
     @cached_property
     def _shifted(self) -> tuple[Floats, Floats]:
@@ -206,7 +210,10 @@ class HeldOut:
             return np.zeros(0, dtype=np.int64)
         X, found = problem._shifted[0], []
         for pair in np.flatnonzero(2 * scheme.held_out.sizes > scheme.n_data):
-            train = np.setdiff1d(problem.present, scheme.held_out[pair], assume_unique=True)
+            here = np.zeros(scheme.n_data, dtype=np.bool_)
+            here[problem.present] = True
+            here[scheme.held_out[pair]] = False
+            train = np.flatnonzero(here)
             first = X[train[0]]
             alike = np.flatnonzero((first != 0) & (first == X[train[-1]]))
             if (X[train][:, alike] == first[alike]).all(axis=0).any():
@@ -240,6 +247,8 @@ class HeldOut:
 
 
 def _central(columns: Floats) -> Floats:
-    """The value of each column that is nearest to its mean."""
-    nearest = np.abs(columns - columns.mean(axis=0)).argmin(axis=0)
-    return np.asarray(columns[nearest, np.arange(columns.shape[1])])
+    """The value of each column that is nearest to its mean; of many data, among some drawn at random."""
+    n = len(columns)
+    drawn = columns if n <= _DRAWN else columns[np.random.default_rng(0).integers(n, size=_DRAWN)]
+    nearest = np.abs(drawn - columns.mean(axis=0)).argmin(axis=0)
+    return np.asarray(drawn[nearest, np.arange(columns.shape[1])])
