@@ -168,10 +168,94 @@ def test_training_data_that_lose_rank_are_refitted(weights):
     dummies = np.eye(4)[np.arange(N) % 4]
     features = np.column_stack([dummies, X[:, 2], np.arange(N) == 7])
     few = [(np.arange(3), np.arange(3, N)), (np.arange(3, N), np.arange(3))]
-    for cv in (KFold(4), few):
+    groups = list(LeaveOneGroupOut().split(X, Y, np.arange(N) % 4))
+    for cv in (KFold(4), few, groups, SPLITTERS["exclusion"]):
         found = LinearRegression().cross_val_predict(features, Y, cv=cv, sample_weight=weights)
         other = refits.LinearRegression(tol=1e-13)
         close(found, cross_val_predict(other, features, Y, cv=cv, **given(weights)), unit=100)
+
+
+@pytest.mark.parametrize("weights", [None, SOME_ABSENT])
+@pytest.mark.parametrize("y", [Y[:, 0], Y[:, :1], Y], ids=["one", "column", "several"])
+@pytest.mark.parametrize("features", [X, np.column_stack([X, X[:, 0] + X[:, 2]]), X[:4]], ids=len)
+@pytest.mark.parametrize("model", PAIRS)
+def test_fits_are_those_of_scikit_learn(model, features, y, weights):
+    own, other = (clone(each) for each in PAIRS[model])
+    some = slice(len(features))
+    given = (features, y[some], None if weights is None else weights[some])
+    found, expected = own.fit(*given), other.fit(*given)
+    assert found.coef_.shape == (*y.shape[1:], features.shape[1])
+    close(found.coef_, expected.coef_.reshape(found.coef_.shape), unit=10)
+    close(found.intercept_, expected.intercept_, unit=100)
+    predicted = expected.predict(features)
+    close(found.predict(features), predicted.reshape(y[some].shape), unit=100)
+
+
+RARE = np.arange(N) == 3
+GROUP = np.arange(N) < 20
+
+
+@pytest.mark.parametrize("alpha", [1e-10, 1e-6, 1e-3, 1.0])
+@pytest.mark.parametrize("size", [1.0, 1e3])
+@pytest.mark.parametrize("column", [RARE, ~RARE], ids=["rare", "common"])
+@pytest.mark.parametrize(
+    "cv", [KFold(5), LeaveOneOut(), list(LeaveOneGroupOut().split(X, Y, GROUPS))], ids=str
+)
+def test_columns_that_are_nearly_constant_keep_their_digits(cv, column, size, alpha):
+    # Without datum 3 they are constant, and a small ridge alone tells them from the ones of the intercept.
+    features = np.column_stack([X, size * column])
+    expected = cross_val_predict(refits.Ridge(alpha, solver="svd"), features, Y, cv=cv)
+    close(Ridge(alpha).cross_val_predict(features, Y, cv=cv), expected, unit=100)
+    found = RidgeCV([alpha], cv=cv, scoring="neg_mean_squared_error").fit(features, Y)
+    scores = Ridge(alpha).cross_val_score(features, Y, cv=cv, scoring="neg_mean_squared_error")
+    assert found.best_score_ == pytest.approx(scores.mean(), rel=1e-9)
+
+
+@pytest.mark.parametrize("alpha", [1e-6, 1e-3, 1.0])
+@pytest.mark.parametrize("size", [1.0, 1e3])
+@pytest.mark.parametrize("weights", [None, SOME_ABSENT])
+def test_what_is_constant_in_the_smaller_group_keeps_its_digits(weights, size, alpha):
+    features, cv = np.column_stack([X, size * GROUP]), list(LeaveOneGroupOut().split(X, Y, GROUP))
+    expected = cross_val_predict(refits.Ridge(alpha, solver="svd"), features, Y, cv=cv, **given(weights))
+    found = Ridge(alpha).cross_val_predict(features, Y, cv=cv, sample_weight=weights)
+    close(found, expected, unit=100)
+
+
+@pytest.mark.parametrize("estimator", [LinearRegression(), Ridge(2.0)], ids=repr)
+def test_data_may_be_far_from_zero(estimator):
+    near = np.round(X * 2**20) / 2**20, np.round(Y * 2**20) / 2**20  # so that sums are exact
+    far = near[0] + 1e8, near[1] + 1e8
+    for cv in (KFold(5), LeaveOneOut()):
+        close(estimator.cross_val_predict(*far, cv) - 1e8, estimator.cross_val_predict(*near, cv), unit=1e2)
+
+
+SCALES = 10.0 ** np.linspace(-14, 14, P)
+
+
+@pytest.mark.parametrize("scales", [SCALES, SCALES[::-1], 1e200, 1e-200], ids=str)
+def test_units_of_features_do_not_matter(scales):
+    found, expected = LinearRegression().fit(X * scales, Y), LinearRegression().fit(X, Y)
+    close(found.predict(X * scales), expected.predict(X), unit=100)
+    close(found.coef_ * scales, expected.coef_, unit=10)
+    close(LinearRegression().cross_val_predict(X * scales, Y), LinearRegression().cross_val_predict(X, Y))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e200])
+@pytest.mark.parametrize("k", [0, 4, 8])
+def test_units_of_dependent_features_do_not_matter(k, unit):
+    for scales in (10.0 ** np.linspace(-k, k, P), 10.0 ** np.linspace(k, -k, P)):
+        own = X * scales
+        features = unit * np.column_stack([own, own[:, 0] + own[:, 1], 1e3 * own[:, 3], np.ones(N)])
+        found = LinearRegression().fit(features, Y).predict(features)
+        np.testing.assert_allclose(found, LinearRegression().fit(X, Y).predict(X), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("alpha", [1e-12, 1.0, 1e6])
+def test_a_ridge_is_as_exact_alone_as_among_others(alpha):
+    features = X * SCALES
+    found = RidgeCV([alpha, 2 * alpha], cv=5, scoring="neg_mean_squared_error").fit(features, Y)
+    alone = [Ridge(a).cross_val_score(features, Y, scoring="neg_mean_squared_error") for a in found.alphas]
+    close(found.cv_scores_, np.mean(alone, axis=1))
 
 
 @pytest.mark.parametrize("weights", [None, SOME_ABSENT])
@@ -254,6 +338,13 @@ def test_groups_reach_the_splitter():
         (lambda: Ridge(-1.0).cross_val_predict(X, Y), "Invalid alpha"),
         (lambda: Ridge([1.0, 2.0]).cross_val_predict(X, Y), "Invalid alpha"),
         (lambda: Ridge("strong").cross_val_predict(X, Y), "Invalid alpha"),
+        (lambda: Ridge(np.nan).cross_val_predict(X, Y), "Invalid alpha.*nan"),
+        (lambda: Ridge([1.0, np.inf, 1.0]).fit(X, Y), "Invalid alpha.*inf"),
+        (lambda: Ridge([[1.0]]).fit(X, Y), "Invalid alpha"),
+        (lambda: Ridge(-1.0).fit(X, Y), "Invalid alpha"),
+        (lambda: Ridge(fit_intercept="no").fit(X, Y), "Invalid fit_intercept.*'no'"),
+        (lambda: LinearRegression(fit_intercept=None).cross_val_predict(X, Y), "Invalid fit_intercept"),
+        (lambda: RidgeCV(fit_intercept=1).fit(X, Y), "Invalid fit_intercept"),
         (lambda: RidgeCV([-1.0]).fit(X, Y), "Invalid alphas"),
         (lambda: RidgeCV([]).fit(X, Y), "Invalid alphas"),
         (lambda: RidgeCV([[1.0]]).fit(X, Y), "Invalid alphas"),

@@ -6,7 +6,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn import linear_model
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_X_y
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -14,17 +13,43 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.sklearn.folds import expect_partition
+from mexpress.sklearn.held_out import LinearProblem
 from mexpress.sklearn.regression import Regression, checked_weights
 from mexpress.sklearn.scores import fold_scores, scorer_of
 
-_NEGLIGIBLE = 1e-13
-"""Share of the largest singular value below which a fit takes one for zero; scikit-learn's own default is 1e-6."""
 
-
-class _ClosedForm:
-    """Cross-validation of a linear estimator without refits, except where training data lose rank."""
+class LinearModel(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
+    """What fits of linear models share; a feature's unit does not matter to their digits."""
 
     fit_intercept: bool
+
+    def _fitted(self, alphas: Floats, X: Floats, y: Floats, weights: Floats | None) -> Self:
+        """Fit checked data, with a weight of the ridge for each response, (r,)."""
+        columns = y.reshape(len(y), -1)
+        coefficients, intercepts = np.empty((columns.shape[1], X.shape[1])), np.empty(columns.shape[1])
+        for alpha in np.unique(alphas):
+            some = alphas == alpha
+            fit = LinearProblem(X, columns[:, some], weights, self.fit_intercept).fit(alpha)
+            coefficients[some], intercepts[some] = fit.coefficients.T, fit.intercept
+        one = 0 if y.ndim == 1 else slice(None)
+        self.coef_, self.intercept_ = coefficients[one], intercepts[one]
+        return self
+
+    def predict(self, X: ArrayLike) -> Floats:
+        """Predict the responses, (k,) or (k, r), of features (k, p)."""
+        check_is_fitted(self)
+        features = validate_data(self, X, reset=False, dtype=np.float64)
+        return np.asarray(features @ self.coef_.T + self.intercept_)
+
+
+class _ClosedForm(LinearModel):
+    """Cross-validation of a linear estimator without refits, except where training data lose rank."""
+
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Fit responses (n,) or (n, r) to features (n, p), with weights of the data, (n,)."""
+        features, responses = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        alphas = self._alphas(responses[0].size)
+        return self._fitted(alphas, features, responses, checked_weights(sample_weight, len(features)))
 
     def cross_val_predict(
         self,
@@ -134,25 +159,33 @@ class _ClosedForm:
     def _held_out(self, regression: Regression, threads: int | None) -> Floats:
         """Predictions of the validated data, pair after pair, (t, r)."""
         weights = self._alphas(regression.y.shape[1])
-        values, undefined = np.empty_like(regression.validated), np.zeros(0, dtype=np.int64)
+        values = np.empty_like(regression.validated)
         for alpha in np.unique(weights):
             some = weights == alpha
             problem = regression.problem(some, fit_intercept=self.fit_intercept, threads=threads)
-            found = problem.ridge_regression(alpha).predict(regression.scheme)
-            values[:, some], undefined = found.predictions, np.union1d(undefined, found.undefined)
-        return regression.refitted(values, undefined, self)
+            values[:, some] = problem.ridge_regression(alpha).predict(regression.scheme)
+        return values
 
 
-class LinearRegression(_ClosedForm, linear_model.LinearRegression):  # type: ignore[misc]  # scikit-learn has no types
-    """Ordinary least squares of scikit-learn, cross-validated without refits.
+class LinearRegression(_ClosedForm):
+    """Ordinary least squares, cross-validated without refits.
 
-    It is fitted by `sklearn.linear_model.LinearRegression`, but for directions of the features that are a million times
-    shorter than the longest: they count, down to a share of 1e-13, in fits as in predictions of held-out data.
+    Rank is that of the columns, the ones of the intercept too, at unit length, in fits as in predictions of held-out
+    data: a feature counts whatever its unit. Where rank is lost, the smallest coefficients are taken, as by
+    `sklearn.linear_model.LinearRegression`. That one drops directions of the features that are a million times
+    shorter than the longest; its parameters `copy_X`, `n_jobs`, `positive` and `tol` are not taken.
 
     Parameters
     ----------
     fit_intercept : bool, default True
         Whether the model has a constant.
+
+    Attributes
+    ----------
+    coef_ : (p,) or (r, p) array
+        Coefficients.
+    intercept_ : float or (r,) array
+        Constants.
 
     Examples
     --------
@@ -169,34 +202,13 @@ class LinearRegression(_ClosedForm, linear_model.LinearRegression):  # type: ign
     """
 
     def __init__(self, *, fit_intercept: bool = True) -> None:
-        super().__init__(fit_intercept=fit_intercept, tol=_NEGLIGIBLE)
+        self.fit_intercept = fit_intercept
 
 
-class FittedByRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
-    """What `Ridge` and `RidgeCV` share: their fit is one of `sklearn.linear_model.Ridge`, by its exact solver."""
-
-    fit_intercept: bool
-
-    def _ridge(self, alpha: ArrayLike) -> linear_model.Ridge:
-        return linear_model.Ridge(alpha, fit_intercept=self.fit_intercept, solver="svd")
-
-    def _fitted(self, alpha: ArrayLike, X: Floats, y: Floats, weights: Floats | None) -> Self:
-        """Fit checked data."""
-        final = self._ridge(alpha).fit(X, y, weights)
-        self.coef_, self.intercept_ = final.coef_, final.intercept_
-        return self
-
-    def predict(self, X: ArrayLike) -> Floats:
-        """Predict the responses, (k,) or (k, r), of features (k, p)."""
-        check_is_fitted(self)
-        features = validate_data(self, X, reset=False, dtype=np.float64)
-        return np.asarray(features @ self.coef_.T + self.intercept_)
-
-
-class Ridge(_ClosedForm, FittedByRidge):
+class Ridge(_ClosedForm):
     """Ridge regression, cross-validated without refits.
 
-    It is fitted by `sklearn.linear_model.Ridge` with its solver "svd".
+    The numbers are those of `sklearn.linear_model.Ridge` with its exact solver, "svd".
 
     Parameters
     ----------
@@ -229,16 +241,11 @@ class Ridge(_ClosedForm, FittedByRidge):
         self.alpha = alpha
         self.fit_intercept = fit_intercept
 
-    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
-        """Fit responses (n,) or (n, r) to features (n, p), with weights of the data, (n,)."""
-        features, responses = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        return self._fitted(self.alpha, features, responses, checked_weights(sample_weight, len(features)))
-
     def _alphas(self, responses: int) -> Floats:
         rule = f"It must be a number of at least 0, or {responses}, one for each response."
-        alphas = check.real(self.alpha, "alpha")
-        if alphas.shape not in {(), (1,), (responses,)}:
+        alphas = np.atleast_1d(check.real(self.alpha, "alpha"))
+        if alphas.shape not in {(1,), (responses,)}:
             check.refuse("alpha", rule, f"shape {alphas.shape}")
-        if check.finite(alphas, "alpha").min() < 0:
+        if check.finite(alphas, "alpha", rule).min() < 0:
             check.refuse("alpha", rule, f"{alphas.min():g}")
         return np.broadcast_to(alphas, responses)

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator, clone
 from sklearn.utils import check_array
 
 from mexpress import _validation as check
-from mexpress._validation import Floats, Integers
+from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.leastsquares.problem import WEIGHT_RATIO
 from mexpress.schemes import Scheme
@@ -61,18 +60,6 @@ class Regression:
     ) -> LinearProblem:
         """Return the linear problem of some of the responses."""
         return LinearProblem(self.X, self.y[:, targets], self.weights, fit_intercept, threads)
-
-    def refitted(self, predictions: Floats, undefined: Integers, estimator: BaseEstimator) -> Floats:
-        """Put predictions of refits into (t, r) predictions, for the pairs that lose rank."""
-        held, validated = self.scheme.held_out, self.scheme.validated
-        for pair in undefined[validated.sizes[undefined] > 0]:
-            train = np.ones(len(self.X), dtype=np.bool_)
-            train[held[pair]] = False
-            weights = {} if self.weights is None else {"sample_weight": self.weights[train]}
-            refit = clone(estimator).fit(self.X[train], self.y[train], **weights)
-            of_pair = slice(validated.offsets[pair], validated.offsets[pair + 1])
-            predictions[of_pair] = refit.predict(self.X[validated[pair]]).reshape(-1, self.y.shape[1])
-        return predictions
 
 
 def checked_weights(sample_weight: ArrayLike | None, n: int) -> Floats | None:

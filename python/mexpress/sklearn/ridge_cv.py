@@ -12,18 +12,19 @@ from sklearn.utils.validation import validate_data
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.schemes import leave_one_out
-from mexpress.sklearn.linear import FittedByRidge
+from mexpress.sklearn.linear import LinearModel
 from mexpress.sklearn.regression import Regression
 from mexpress.sklearn.scores import fold_scores
 
 _ALPHAS = "They must be numbers of at least 0, one or more."
 
 
-class RidgeCV(FittedByRidge):
+class RidgeCV(LinearModel):
     """Ridge regression with the weight that predicts held-out data best.
 
     One decomposition serves all weights and all pairs of a splitter; scikit-learn's own closed form is leave-one-out
-    only, and any other splitter is a search over refits. The selected model is fitted by `sklearn.linear_model.Ridge`.
+    only, and any other splitter is a search over refits. Features whose sizes differ by more than a factor of 1e10 are
+    decomposed for every weight, as one decomposition would lose digits of the small ones.
 
     Parameters
     ----------
@@ -123,15 +124,14 @@ class RidgeCV(FittedByRidge):
         self.cv_scores_ = scores
         if not self.alpha_per_target or regression.flat:
             self.alpha_, self.best_score_, self.cv_scores_ = alphas[best[0]], scores[best[0], 0], scores[:, 0]
-        y_present = regression.as_given(regression.y)
-        return self._fitted(self.alpha_, regression.X, y_present, regression.weights)
+        each = np.broadcast_to(self.alpha_, regression.y.shape[1])
+        return self._fitted(each, regression.X, regression.as_given(regression.y), regression.weights)
 
     def _tried(self, regression: Regression, alphas: Floats) -> Iterator[Floats]:
         """Predictions of the validated data, (t, r), with every weight."""
         problem = regression.problem(fit_intercept=self.fit_intercept, threads=self.threads)
-        for alpha, held_out in zip(alphas, problem.ridge_regressions(alphas), strict=True):
-            found = held_out.predict(regression.scheme)
-            yield regression.refitted(found.predictions, found.undefined, self._ridge(alpha))
+        for held_out in problem.ridge_regressions(alphas):
+            yield held_out.predict(regression.scheme)
 
     def _scores(self, regression: Regression, predictions: Floats) -> Floats:
         """Score of predictions, (1,), or of those of each response, (r,)."""
