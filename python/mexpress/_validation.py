@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import math
 import numbers
 import operator
@@ -66,12 +67,14 @@ def nearest_name(value: object, names: Iterable[str]) -> str:
 
 
 def path(value: Any, name: str = "path") -> Path:
-    """Name of a file or a directory."""
+    """Name of a file."""
     rule = "It must be the name of a file, as a str or a Path."
     try:
         given = Path(value)
     except TypeError:
         refuse(name, rule, describe(value), TypeError)
+    if not given.name and str(value):  # such as "." and "/"
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(value))
     if not given.name:
         refuse(name, rule, repr(value))
     return given
