@@ -63,7 +63,7 @@ class _ClosedForm:
         Raises
         ------
         ValueError
-            If a datum is not validated once, or the data are not finite.
+            If a datum is not validated once, a pair leaves no training data, or the data are not finite.
 
         Examples
         --------
