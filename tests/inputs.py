@@ -212,8 +212,8 @@ INDICES = {
     "held_out_residuals": ("rows", MODEL.held_out_residuals),
     "from_sets held_out": ("held_out", lambda x: s.from_sets([x], n=N).held_out.indices),
     "from_sets validated": ("validated", lambda x: s.from_sets([range(N)], [x], n=N).validated.indices),
-    "from_splits test": ("test", lambda x: s.from_splits([([], x)], n=N).validated.indices),
-    "from_splits train": ("train", lambda x: s.from_splits([(x, [])], n=N).held_out.indices),
+    "from_splits test": ("splits", lambda x: s.from_splits([([], x)], n=N).validated.indices),
+    "from_splits train": ("splits", lambda x: s.from_splits([(x, [])], n=N).held_out.indices),
     "select_warp counts": (
         "counts",
         lambda x: mx.select_warp(POINTS, TARGET, "NN02PTS", counts=x, smoothing=0).counts,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import math
 import numbers
 import operator
@@ -66,12 +67,14 @@ def nearest_name(value: object, names: Iterable[str]) -> str:
 
 
 def path(value: Any, name: str = "path") -> Path:
-    """Name of a file or a directory."""
+    """Name of a file."""
     rule = "It must be the name of a file, as a str or a Path."
     try:
         given = Path(value)
     except TypeError:
         refuse(name, rule, describe(value), TypeError)
+    if not given.name and str(value):  # such as "." and "/"
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(value))
     if not given.name:
         refuse(name, rule, repr(value))
     return given
@@ -291,17 +294,20 @@ def integers(value: ArrayLike, name: str, rule: str) -> Integers:
     return _in_order(numbers.astype(np.int64, copy=False))
 
 
-def indices(value: ArrayLike, name: str, bound: int | None = None) -> Integers:
+INDICES_RULE = "It must be a list of distinct indices."
+
+
+def indices(value: ArrayLike, name: str, bound: int | None = None, rule: str = INDICES_RULE) -> Integers:
     """Distinct indices from 0 to bound - 1, (k,)."""
-    rule = "It must be a list of distinct indices."
-    entries = _from_zero(integers(value, name, rule), name, bound)
+    entries = from_zero(integers(value, name, rule), name, bound)
     ordered = np.sort(entries)
     if (ordered[1:] == ordered[:-1]).any():
         refuse(name, rule, describe(value))
     return entries
 
 
-def _from_zero(entries: Integers, name: str, bound: int | None) -> Integers:
+def from_zero(entries: Integers, name: str, bound: int | None) -> Integers:
+    """Indices from 0 to bound - 1, which may repeat."""
     low, high = int(entries.min(initial=0)), int(entries.max(initial=-1))
     if bound is not None and high >= bound:
         refuse(name, f"Indices must be from 0 to {bound - 1}.", f"{high}")
@@ -324,7 +330,7 @@ def sets(
 
 def _refuse_sets(cuts: Integers, entries: Integers, name: str, bound: int | None) -> NoReturn:
     """Say what is wrong with sets."""
-    _from_zero(entries, name, bound)
+    from_zero(entries, name, bound)
     if not cuts.size or cuts[0] != 0 or cuts[-1] != len(entries) or (cuts[1:] < cuts[:-1]).any():
         rule = f"Its offsets must rise from 0 to the number of indices, {len(entries)}."
         refuse(name, rule, describe(cuts))

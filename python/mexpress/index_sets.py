@@ -77,7 +77,12 @@ class IndexSets(Sequence[Integers]):
 
 def compress(sets: Iterable[Integers]) -> IndexSets:
     """Index sets of index arrays; each is sorted."""
-    arrays = [np.sort(s) for s in sets]
+    return packed(np.sort(s) for s in sets)
+
+
+def packed(sets: Iterable[Integers]) -> IndexSets:
+    """Index sets of index arrays that increase."""
+    arrays = list(sets)
     offsets = np.cumsum([0, *map(len, arrays)], dtype=np.int64)
     return IndexSets(offsets, np.concatenate([np.zeros(0, dtype=np.int64), *arrays]))
 

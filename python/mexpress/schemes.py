@@ -26,7 +26,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.index_sets import CoreSets, IndexSets, checked, compress, contained, singletons
+from mexpress.index_sets import CoreSets, IndexSets, checked, compress, contained, packed, singletons
 
 __all__ = [
     "IndexSets",
@@ -104,7 +104,7 @@ class Scheme:
             if len(held) != len(validated):
                 rule = f"It must have one set for each of the {len(held)} that are held out."
                 check.refuse("validated", rule, f"{len(validated)} sets")
-            _expect_held(held, validated, "validated", "Validated data must be held out.")
+            _expect_held(held, validated)
         order = self.order
         if order is not None:
             order = check.indices(order, "order", len(held))
@@ -313,13 +313,14 @@ def _checked_radius(radius: float) -> float:
     return (1 + _ROUNDING) * check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
 
 
-def _expect_held(held: IndexSets, validated: IndexSets, name: str, rule: str, pair: str = "set") -> None:
+def _expect_held(held: IndexSets, validated: IndexSets) -> None:
     """Refuse validated data that are not held out."""
     inside = contained(held, validated)
     if not inside.all():
         i = int(inside.argmin())
         number = np.searchsorted(validated.offsets, i, side="right") - 1
-        check.refuse(name, rule, f"datum {validated.indices[i]} in {pair} {number}")
+        given = f"datum {validated.indices[i]} in set {number}"
+        check.refuse("validated", "Validated data must be held out.", given)
 
 
 def leave_one_out(n: int) -> Scheme:
@@ -530,7 +531,7 @@ def _union(some: Integers, others: Iterable[Integers], n: int) -> Integers:
 
 
 def _compress_few(sets: Iterable[Integers], name: str, value: float, of: str) -> IndexSets:
-    """Index sets of arrays, as long as they fit; the argument `name` makes them large."""
+    """Index sets of arrays that increase, as long as they fit; the argument `name` makes them large."""
     listed: list[Integers] = []
     total = 0
     for each in sets:
@@ -539,7 +540,7 @@ def _compress_few(sets: Iterable[Integers], name: str, value: float, of: str) ->
         if total > MOST_INDICES:
             rule = f"The sets must fit in {MOST_INDICES} indices: take less."
             check.refuse(name, rule, f"{value}, with more than that for {len(listed)} of {of}")
-    return compress(listed)
+    return packed(listed)
 
 
 def expect_scheme(scheme: Any, example: str) -> None:
@@ -753,35 +754,96 @@ def from_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None = N
     n : int, optional
         Number of data; one more than the largest index by default.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If a split is no pair of distinct indices, or trains on what it tests, or if all that is held out exceeds
+        100,000,000 indices.
+
     Examples
     --------
     >>> import mexpress as mx
     >>> mx.schemes.from_splits([([0, 1], [2]), ([2], [0])])
     Scheme(2 pairs over 3 data, 1 to 2 held out)
     """
-    bound = None if n is None else check.count(n, "n", 1)
+    return scheme_of_splits(splits, None if n is None else check.count(n, "n", 1), "splits")
+
+
+def scheme_of_splits(splits: Iterable[tuple[ArrayLike, ArrayLike]], n: int | None, name: str) -> Scheme:
+    """Return the scheme of `from_splits`; messages call the splits by a name.
+
+    Splits are taken one by one, and what they train on is not kept: thousands of long lists need not fit in memory.
+
+    Examples
+    --------
+    >>> scheme_of_splits([([0, 0], [1])], None, "cv")
+    Traceback (most recent call last):
+    ValueError: Invalid cv[0]. ... a bootstrap, which repeats some, is no hold-out. Given datum 0, 2 times.
+    """
+    parts: list[tuple[Integers, int]] = []  # what is held out, of how many data
+    tests: list[Integers] = []
+    total, trained = n or 1, 0
+    for i, split in enumerate(_iterated(splits, name)):
+        train, test = _train_and_test(split, f"{name}[{i}]", n)
+        if n is None:
+            total = max(total, 1 + int(train.max(initial=0)), 1 + int(test.max(initial=0)))
+        trained += len(train)
+        left = (i + 1) * total - trained
+        if left > MOST_INDICES:
+            rule = f"The data that are not trained on must fit in {MOST_INDICES} indices."
+            check.refuse(name, rule, f"{left}, in {i + 1} splits of {total} data")
+        out = _not_trained(train, test, f"{name}[{i}]", total)
+        parts.append((out, total))
+        tests.append(out if len(out) == len(test) else test)
+    # What is known of later splits only is held out by the earlier ones, too.
+    held = packed(out if known == total else np.append(out, np.arange(known, total)) for out, known in parts)
+    return Scheme._of(total, held, held if sum(map(len, tests)) == len(held.indices) else packed(tests))
+
+
+def _iterated(splits: Any, name: str) -> Iterator[Any]:
     rule = "It must be a list of (train, test) index arrays."
-    listed = check.items(splits, "splits", rule)
+    if isinstance(splits, str | bytes):
+        check.refuse(name, rule, check.describe(splits), TypeError)
     try:
-        pairs = [(train, test) for train, test in listed]
+        return iter(splits)
+    except TypeError:
+        check.refuse(name, rule, check.describe(splits), TypeError)
+
+
+def _train_and_test(split: Any, name: str, bound: int | None) -> tuple[Integers, Integers]:
+    """Training data in any order, and test data, increasing."""
+    try:
+        train, test = split
     except (TypeError, ValueError):
-        check.refuse("splits", rule, check.describe(splits), TypeError)
-    trains = _listed([train for train, _ in pairs], "train", bound)
-    tests = _listed([test for _, test in pairs], "test", bound)
-    total = _number(trains, tests) if bound is None else bound
-    left = len(pairs) * total - len(trains.indices)
-    if left > MOST_INDICES:
-        rule = f"The data that are not trained on must fit in {MOST_INDICES} indices."
-        check.refuse("splits", rule, f"{left}, in {len(pairs)} splits of {total} data")
-    held = compress(_complement(train, total) for train in trains)
-    _expect_held(held, tests, "splits", "Test data must not be trained on.", "split")
-    return Scheme(total, held, tests)
+        check.refuse(name, "It must be a pair, (train, test).", check.describe(split), TypeError)
+    train = check.integers(train, name, "Its training data must be a list of distinct indices.")
+    test = check.indices(test, name, bound, "Its test data must be a list of distinct indices.")
+    return check.from_zero(train, name, bound), np.sort(test)
+
+
+def _not_trained(train: Integers, test: Integers, name: str, n: int) -> Integers:
+    """Which of n data are not trained on; test data must be among them."""
+    others = np.ones(n, dtype=np.bool_)
+    others[train] = False
+    if not others[test].all():
+        check.refuse(
+            name, "Test data must not be trained on.", f"datum {test[others[test].argmin()]} in both"
+        )
+    out = np.flatnonzero(others)
+    if len(out) + len(train) > n:
+        rule = "It must train on distinct data: a bootstrap, which repeats some, is no hold-out."
+        times = np.bincount(train)
+        check.refuse(name, rule, f"datum {times.argmax()}, {times.max()} times")
+    return out
 
 
 def _length(X: Any) -> int:
     """Number of rows of an array, a frame, or a sparse matrix, which has no len."""
     shape = getattr(X, "shape", None)
-    return int(shape[0]) if shape else len(X)
+    try:
+        return int(shape[0]) if shape else len(X)
+    except TypeError:
+        check.refuse("X", "It must be an array with a row for each datum.", check.describe(X), TypeError)
 
 
 def _complement(some: Integers, n: int) -> Integers:

@@ -467,7 +467,12 @@ def test_what_are_no_lists_of_sets(wrong):
     "wrong", ["ab", 3, None, [3], [([0],)], [([0], [1], [2])], ["ab"], [(None, [0])], [([0], 1.5)]]
 )
 def test_what_are_no_splits(wrong):
-    refused(lambda: s.from_splits(wrong), r"(splits|train|test)")
+    refused(lambda: s.from_splits(wrong), "splits")
+
+
+@pytest.mark.parametrize("wrong", [5, 2.5, np.array(5)])
+def test_what_a_scheme_does_not_split(wrong):
+    refused(lambda: LOO.split(wrong), "X", TypeError)
 
 
 def made_by_hand():

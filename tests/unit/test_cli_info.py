@@ -124,6 +124,16 @@ def test_what_is_no_model_is_one_line(run, tmp_path, name):
     assert errors.count("\n") == 1
 
 
+@pytest.mark.parametrize("command", [["info"], ["apply"], ["suspects"]])
+@pytest.mark.parametrize("name", [".", "/", "folder"])
+def test_a_folder_is_no_file(run, tmp_path, monkeypatch, command, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "p.csv").write_text("x,y\n320,240\n")
+    others = ["p.csv"] if command == ["apply"] else []
+    assert run(*command, name, *others) == (2, "", f"mexpress: error: {name}: Is a directory\n")
+
+
 def test_a_selection_is_applied_as_its_model_is(run, tmp_path):
     (tmp_path / "p.csv").write_text("x,y\n320,240\n100,50\n")
     for name, selection in (
@@ -186,6 +196,27 @@ def test_rows_are_counted_with_those_that_are_missing(run, tmp_path):
 def test_no_suspects_are_one_line(run, tmp_path):
     write_matches(tmp_path / "m.csv", SOURCE, TARGET)
     assert run("suspects", tmp_path / "m.csv") == (0, "0 of 80 matches look wrong: scores above 6\n", "")
+
+
+def test_matches_without_a_score_are_told(run, wrong):
+    lost = np.isnan(mx.select_warp(SOURCE, WRONG).suspects(radius=60).scores).sum()
+    assert 0 < lost < 80
+    status, text, errors = run("suspects", wrong, "--quiet", "--radius", "60")
+    assert status == 0
+    assert text.startswith(f"2 of {80 - lost} matches look wrong")
+    assert errors.startswith(
+        f"mexpress: {lost} of 80 matches have no score: those farther away than --radius 60 "
+    )
+    assert errors.count("\n") == 1
+    assert run("suspects", wrong, "--json", "--radius", "60")[2] == errors
+
+
+def test_matches_that_are_missing_need_no_score(run, tmp_path):
+    rows = np.hstack([SOURCE, TARGET])
+    rows[:2] = -9999
+    np.savetxt(tmp_path / "m.csv", rows, delimiter=",")
+    missing = run("suspects", tmp_path / "m.csv", "--quiet", "--missing", "-9999,drop")
+    assert missing == (0, "0 of 78 matches look wrong: scores above 6\n", "")
 
 
 @pytest.mark.parametrize("option", ["threshold", "radius"])

@@ -1,3 +1,4 @@
+import tracemalloc
 from fractions import Fraction
 from itertools import combinations
 
@@ -498,8 +499,41 @@ def test_splits_hold_out_all_that_is_not_trained_on():
 
 
 def test_splits_must_not_train_on_what_they_test():
-    with pytest.raises(ValueError, match=r"^Invalid splits\. .*split 1\.$"):
+    with pytest.raises(ValueError, match=r"^Invalid splits\[1\]\. .*datum 1 in both\.$"):
         s.from_splits([([0], [1]), ([0, 1], [1])])
+
+
+def test_splits_must_not_repeat_what_they_train_on():
+    with pytest.raises(ValueError, match=r"^Invalid splits\[1\]\. .*bootstrap.* Given datum 2, 3 times\.$"):
+        s.from_splits([([0], [1]), ([0, 2, 2, 2], [1])])
+
+
+def test_later_splits_may_have_more_data():
+    scheme = s.from_splits(iter([([1], [0]), ([0, 1, 3], [2, 4]), ([0], [3])]))
+    assert scheme.n_data == 5
+    assert lists(scheme.held_out) == [[0, 2, 3, 4], [2, 4], [1, 2, 3, 4]]
+    assert lists(scheme.validated) == [[0], [2, 4], [3]]
+
+
+@pytest.mark.parametrize("n", [2000, None])
+def test_training_data_of_many_splits_are_not_kept(n):
+    n_splits, data, few = 1000, np.arange(2000), 20
+    drawn = (np.roll(data, few * i) for i in range(n_splits))
+    tracemalloc.start()
+    scheme = s.from_splits(((order[few:], order[:few]) for order in drawn), n)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(scheme) == n_splits
+    assert peak < 2e6  # what they train on takes 16 MB
+
+
+def test_splits_are_refused_as_soon_as_they_are_too_many(monkeypatch):
+    monkeypatch.setattr(s, "MOST_INDICES", 100)
+
+    for n in (50, 51):
+        rule = r"^Invalid splits\. .*must fit in 100 indices\. Given 1\d\d, in 3 splits of 5\d data\.$"
+        with pytest.raises(ValueError, match=rule):
+            s.from_splits([([0], [1])] * 1000, n)
 
 
 def test_sets_are_a_sequence():

@@ -245,6 +245,36 @@ def test_what_is_selected_must_be_there(name, arrays, tmp_path):
             read(tmp_path / "a", {**arrays, "selection": text})
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("scores", "weights", 0), -1.0, r"Invalid weights\. .* Given -1 at 0"),
+        (("scores", "weights", 1), 1.0, r"Invalid weights\. .* increase\. Given 1 at 1"),
+        (("scores", "weights", 2), math.nan, r"Invalid weights\. .* finite .* Given nan at 2"),
+        (("scores", "counts"), [60, 60], r"Invalid counts\. .* increase\. Given 60 at 1"),
+        (("scores", "counts"), [60, 3], r"Invalid counts\. .* increase\. Given 3 at 1"),
+        (("scores", "counts"), [-3, 60], r"Invalid counts\. .* Given -3 at 0"),
+        (("scores", "rivals", "affine map", "weights"), [-1.0], r"Invalid weights\. .* Given -1 at 0"),
+        (("axes",), ["x"], r"Invalid axes\. They must be two texts, what x and y are called\. Given \['x'\]"),
+        (("axes",), ["x", "y", "z"], r"Invalid axes\. They must be two texts"),
+        (("axes",), [None, "y"], r"Invalid axes\. They must be two texts"),
+        (("axes",), {"a": 1, "b": 2}, r"Invalid axes\. They must be two texts"),
+        (("scores", "undefined"), {"near": {"few": [1]}}, r"Invalid undefined\. Its keys .* Given 'few'"),
+        (("scores", "undefined"), {"near": {"12": [1]}}, r"Invalid undefined\. Its keys .* Given '12'"),
+        (("scores", "undefined"), {"near": [1]}, r"Invalid undefined\. It must be a mapping\. Given \[1\]"),
+        (("scores", "undefined"), {"near": {}}, r"Invalid undefined\. .* Given 0 for 'near'"),
+        (("scores", "undefined"), {"ER07": {"3": [1]}}, r"Invalid undefined\. .* in the maps.* for 'ER07'"),
+        (("scores", "undefined"), {"near": {"3": [60]}}, r"Invalid undefined\. Indices must be .* Given 60"),
+        (("scores", "open"), {"few": 1}, r"Invalid open\. Its keys .* Given 'few'"),
+    ],
+)
+def test_what_is_wrong_in_a_text_is_told(path, value, message, arrays, tmp_path):
+    content = json.loads(arrays["selection"].tobytes())
+    put(content, path, value)
+    with pytest.raises(ValueError, match=rf"^Invalid path\. .* cannot be rebuilt: {message}"):
+        read(tmp_path / "a", {**arrays, "selection": saved.to_text(content)})
+
+
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff", b"[" * 100_000, b'"text"', b"null"])
 def test_a_text_that_is_none_is_refused(text, arrays, tmp_path):
     refused_file(tmp_path / "a", {**arrays, "selection": np.frombuffer(text, dtype=np.uint8)})

@@ -379,6 +379,103 @@ def test_what_is_refused(call, message):
         call()
 
 
+EVEN = np.arange(N) % 2 == 0
+ORDER = np.arange(N)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        lambda train, test: (train, test),
+        lambda train, test: (train.tolist(), test.tolist()),
+        lambda train, test: ((ORDER[train] - N).astype(np.int8), ORDER[test] - N),
+        lambda train, test: (ORDER[train].astype(np.uint8), ORDER[test].tolist()),
+    ],
+    ids=["masks", "lists of masks", "from the end", "small integers"],
+)
+def test_indices_are_those_of_scikit_learn(parts):
+    cv = [parts(EVEN, ~EVEN), parts(~EVEN, EVEN)]
+    expected = Ridge().cross_val_predict(X, Y, cv=[(ORDER[EVEN], ORDER[~EVEN]), (ORDER[~EVEN], ORDER[EVEN])])
+    np.testing.assert_array_equal(Ridge().cross_val_predict(X, Y, cv=cv), expected)
+    close(Ridge().cross_val_score(X, Y, cv=cv), cross_val_score(refits.Ridge(solver="svd"), X, Y, cv=cv))
+
+
+@pytest.mark.parametrize(
+    ("cv", "message"),
+    [
+        ([], r"Invalid cv\. It must validate a datum at least; a generator serves once\. Given \[\]\."),
+        (iter([]), r"Invalid cv\. .*generator serves once"),
+        ([([0], [])], r"Invalid cv\. It must validate a datum"),
+        (mx.schemes.from_sets([[1]], [[]], n=N), r"Invalid cv\. It must validate a datum.*Scheme"),
+        ([(ORDER[5:], ORDER[:5]), ([], ORDER)], r"Invalid cv\. .*training data.* Given split 1"),
+        (mx.schemes.from_sets([[1], ORDER]), r"Invalid cv\. .*training data.* Given split 1"),
+        ([([0, 0, 1], [2])], r"Invalid cv\[0\]\. .*bootstrap.*datum 0, 2 times"),
+        ([([0, 1], [2, 2])], r"Invalid cv\[0\]\. Its test data must be a list of distinct"),
+        ([([0, 1], [2]), ([0, 1], [1])], r"Invalid cv\[1\]\. Test data must not be trained on"),
+        ([([0, 1], [N])], r"Invalid cv\[0\]\. Indices must be from 0 to 47\. Given 48"),
+        ([([0, 1], [-N - 1])], r"Invalid cv\[0\]\. Indices must not be negative\. Given -49"),
+        ([([0.0, 1.0], [2])], r"Invalid cv\[0\]\. Its training data must be"),
+        ([(EVEN[1:], ~EVEN)], r"Invalid cv\[0\]\. Its training data must be"),
+        ([([0, 1],)], r"Invalid cv\[0\]\. It must be a pair"),
+        ([3], r"Invalid cv\[0\]\. It must be a pair"),
+        ([([[1], [2, 3]], [0])], r"Invalid cv\. .*index arrays"),
+    ],
+)
+@pytest.mark.parametrize("fit_intercept", [True, False])
+def test_what_holds_out_no_data_is_no_cv(cv, message, fit_intercept):
+    ridge = Ridge(fit_intercept=fit_intercept)
+    calls = [
+        lambda: ridge.cross_val_predict(X, Y, cv=cv),
+        lambda: ridge.cross_val_score(X, Y, cv=cv),
+        lambda: RidgeCV(fit_intercept=fit_intercept, cv=cv).fit(X, Y),
+    ]
+    for call in calls:
+        with pytest.raises((ValueError, TypeError), match=message):
+            call()
+
+
+def test_training_data_must_not_all_be_absent():
+    halves = [(ORDER[EVEN], ORDER[~EVEN]), (ORDER[~EVEN], ORDER[EVEN])]
+    for estimator in (Ridge(), LinearRegression(), Ridge(fit_intercept=False)):
+        with pytest.raises(ValueError, match=r"Invalid cv\. .*weight above 0\. Given split 1"):
+            estimator.cross_val_predict(X, Y, cv=halves, sample_weight=1.0 * EVEN)
+    with pytest.raises(ValueError, match=r"Invalid cv\. .*weight above 0\. Given split 1"):
+        RidgeCV(cv=halves).fit(X, Y, 1.0 * EVEN)
+
+
+def weighted_by_a_feature(estimator, features, truth):
+    missed = (truth - estimator.predict(features)) ** 2
+    return -np.average(missed.reshape(len(truth), -1).mean(axis=1), weights=np.abs(features[:, 4]))
+
+
+@pytest.mark.parametrize("y", [Y[:, 0], Y], ids=["one", "several"])
+def test_a_scorer_of_ones_own_sees_the_features(y):
+    for cv in (4, ShuffleSplit(3, random_state=0)):
+        asked = {"cv": cv, "scoring": weighted_by_a_feature}
+        scores = Ridge(2.0).cross_val_score(X, y, **asked)
+        close(scores, cross_val_score(refits.Ridge(2.0, solver="svd"), X, y, **asked))
+        found, expected = RidgeCV(ALPHAS, **asked).fit(X, y), refits.RidgeCV(ALPHAS, **asked).fit(X, y)
+        close(found.best_score_, expected.best_score_)
+
+
+def test_a_scorer_may_select_for_every_response():
+    found = RidgeCV(ALPHAS, cv=4, scoring=weighted_by_a_feature, alpha_per_target=True).fit(X, Y)
+    alone = [RidgeCV(ALPHAS, cv=4, scoring=weighted_by_a_feature).fit(X, y).cv_scores_ for y in Y.T]
+    close(found.cv_scores_, np.transpose(alone))
+
+
+def test_a_scorer_may_ask_for_the_score():
+    scores = Ridge().cross_val_score(X, Y, cv=4, scoring=lambda model, X, y: model.score(X.copy(), y))
+    close(scores, Ridge().cross_val_score(X, Y, cv=4))
+
+
+def test_a_scorer_predicts_the_data_of_its_fold_alone():
+    with pytest.raises(
+        ValueError, match=r"^Invalid X\. A scorer must predict all 12 data of its fold at once"
+    ):
+        Ridge().cross_val_score(X, Y, cv=4, scoring=lambda model, X, y: model.predict(X[:2]).sum())
+
+
 def test_lists_and_frames_are_taken():
     frame = pd.DataFrame(X, columns=list("abcde"))
     expected = Ridge().cross_val_predict(X, Y)

@@ -12,6 +12,7 @@ from mexpress.cli import common
 from mexpress.cli import report as reports
 from mexpress.io import matches
 from mexpress.selection import WarpSelection, select_warp
+from mexpress.selection.data import present
 from mexpress.selection.incomplete import DROP, spread
 from mexpress.selection.robust import THRESHOLD
 from mexpress.suspicion import Suspects
@@ -66,6 +67,7 @@ def _run(arguments: argparse.Namespace) -> None:
         )
         found = selection.suspects(arguments.threshold, arguments.radius, arguments.threads)
     content = listed(selection, found)
+    _warn_of_unscored(selection, found, arguments.radius)
     if arguments.json:
         print(reports.as_json(content))
         return
@@ -77,6 +79,17 @@ def _run(arguments: argparse.Namespace) -> None:
     for each in suspects:
         places = " ".join(f"{number:11.6g}" for number in each["source"] + each["target"])
         print(f"{each['match']:7} {each['score']:10.3g} {places}")
+
+
+def _warn_of_unscored(selection: WarpSelection, found: Suspects, radius: float) -> None:
+    """Say how many matches have no score, and why, but for those of weight 0 and those that are missing."""
+    some = present(selection.data)
+    lost = int(np.isnan(found.scores[some]).sum())
+    if lost:
+        common.warn(
+            f"{lost} of {len(some)} matches have no score: those farther away than --radius {radius:g} do not "
+            "determine their predictions; a smaller one may do"
+        )
 
 
 def listed(selection: WarpSelection, found: Suspects) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mexpress import _validation as check
-from mexpress._validation import Integers
+from mexpress._validation import Floats, Integers
 from mexpress.index_sets import IndexSets
 from mexpress.models import FittedModel, Model
 from mexpress.schemes import Scheme
@@ -22,6 +22,7 @@ from mexpress.selection.selection import Selection
 
 Arrays = Mapping[str, NDArray[Any]]
 FittedT = TypeVar("FittedT", bound=FittedModel)
+NumbersT = TypeVar("NumbersT", Integers, Floats)
 
 _OF_DATA = {"points", "values", "weights"}
 """Arrays that all models of a selection share, and that its data have."""
@@ -90,8 +91,11 @@ def scores_to_plain(scores: Selection) -> dict[str, Any]:
 def scores_of(plain: Any, n: int) -> dict[str, Any]:
     """Return the arguments that `Selection` takes, of the plain values of `scores_to_plain` for n data, checked."""
     given = mapping(plain, "scores")
-    counts = check.integers(given["counts"], "counts", "They must be whole numbers.")
-    weights, parameters = check.real(given["weights"], "weights"), given["parameters"]
+    rule = "They must be whole numbers from 1 on that increase."
+    counts = _increasing(check.integers(given["counts"], "counts", rule), "counts", rule, 1)
+    rule = "They must be finite numbers from 0 on that increase."
+    weights = _increasing(check.real(given["weights"], "weights"), "weights", rule, 0)
+    parameters = given["parameters"]
     shape = len(counts), len(weights)
     maps = {name: _grid(scores, name, shape) for name, scores in mapping(given["maps"], "maps").items()}
     rivals = {
@@ -105,22 +109,55 @@ def scores_of(plain: Any, n: int) -> dict[str, Any]:
         "criterion": criterion,
         "counts": counts,
         "maps": maps,
-        "undefined": {
-            name: {
-                int(count): check.indices(data, "undefined", n) for count, data in mapping(by, name).items()
-            }
-            for name, by in mapping(given["undefined"], "undefined").items()
-        },
+        "undefined": _undefined(given["undefined"], maps, counts, n),
         "weights": weights,
         "parameters": None if parameters is None else _grid(parameters, "parameters", shape),
         "open": {
-            int(count): check.count(number, "open", 0)
-            for count, number in mapping(given["open"], "open").items()
+            count: check.count(number, "open", 0)
+            for count, number in _by_count(given["open"], "open", counts).items()
         },
         "slack": check.number(given["slack"], "slack", "It must be a number of at least 0.", 0.0),
         "rivals": rivals,
         "rival": rival,
     }
+
+
+def _increasing(numbers: NumbersT, name: str, rule: str, low: float) -> NumbersT:
+    """Numbers of at least `low`, in a row, of which each is larger than the one before."""
+    if numbers.ndim != 1 or not numbers.size:
+        check.refuse(name, rule, f"shape {numbers.shape}")
+    wrong = ~(np.isfinite(numbers) & (numbers >= low))
+    wrong[1:] |= numbers[1:] <= numbers[:-1]
+    if wrong.any():
+        check.refuse(name, rule, f"{numbers[wrong.argmax()]:g} at {wrong.argmax()}")
+    return numbers
+
+
+def _undefined(
+    value: Any, maps: Mapping[str, Any], counts: Integers, n: int
+) -> dict[str, dict[int, Integers]]:
+    """Return the data that cannot be predicted, by criterion and number of control points."""
+    found = {
+        name: {
+            count: check.indices(lost, "undefined", n)
+            for count, lost in _by_count(by, "undefined", counts).items()
+        }
+        for name, by in mapping(value, "undefined").items()
+    }
+    for name, by_count in found.items():
+        if name not in maps or not by_count:
+            rule = "It must have data of criteria that are in the maps, by number of control points."
+            check.refuse("undefined", rule, f"{len(by_count)} for {name!r}")
+    return found
+
+
+def _by_count(value: Any, name: str, counts: Integers) -> dict[int, Any]:
+    """Return a mapping with numbers of control points, written as texts, as one with the numbers."""
+    known = {str(count): count for count in counts.tolist()}
+    given = mapping(value, name)
+    for key in given.keys() - known.keys():
+        check.refuse(name, "Its keys must be numbers of control points that were tried.", check.describe(key))
+    return {known[key]: item for key, item in given.items()}
 
 
 def _grid(values: Any, name: str, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -163,8 +200,10 @@ def _axes(names: Any) -> tuple[str, str] | None:
     """Return what x and y are called, if they were columns."""
     if names is None:
         return None
-    x, y = check.items(names, "axes", "It must be two names.")
-    return str(x), str(y)
+    rule = "They must be two texts, what x and y are called."
+    if not isinstance(names, list) or [type(name) for name in names] != [str, str]:
+        check.refuse("axes", rule, check.describe(names))
+    return names[0], names[1]
 
 
 def models_to_arrays(models: Mapping[int, Model]) -> dict[str, NDArray[Any]]:

@@ -88,7 +88,7 @@ class _ClosedForm(LinearModel):
         Raises
         ------
         ValueError
-            If a datum is not validated once, or the data are not finite.
+            If a datum is not validated once, a pair leaves no training data, or the data are not finite.
 
         Examples
         --------
@@ -127,7 +127,8 @@ class _ClosedForm(LinearModel):
             What is held out, see `mexpress.schemes`; five folds by default.
         scoring : str or callable, optional
             As for scikit-learn; R^2 by default, which is not defined where a pair validates a single datum: take
-            "neg_mean_squared_error" there.
+            "neg_mean_squared_error" there. A callable is given an estimator that knows the predictions of a pair's
+            validated data, all of them at once, and nothing else; these data, as an array; and their responses.
         sample_weight : (n,) array, optional
             Weights of the data in the fits, not in the scores. A datum of weight 0 is absent from all fits.
 
@@ -147,10 +148,11 @@ class _ClosedForm(LinearModel):
         scorer_of(scoring)
         features, responses = check_X_y(X, y, dtype=np.float64, multi_output=True, y_numeric=True)
         regression = Regression.of(features, responses, cv, groups, sample_weight)
+        validated = regression.scheme.validated
         truth, predictions = (
             regression.as_given(each) for each in (regression.validated, self._held_out(regression, threads))
         )
-        return fold_scores(scoring, regression.scheme.validated.offsets, truth, predictions)
+        return fold_scores(scoring, validated.offsets, features, validated.indices, truth, predictions)
 
     def _alphas(self, responses: int) -> Floats:
         """Weight of the ridge for each response, (r,)."""

@@ -15,7 +15,7 @@ from mexpress._validation import Floats
 from mexpress.caching import cached_property
 from mexpress.leastsquares.problem import WEIGHT_RATIO
 from mexpress.schemes import Scheme
-from mexpress.sklearn.folds import scheme_of
+from mexpress.sklearn.folds import expect_training, scheme_of
 from mexpress.sklearn.held_out import LinearProblem
 
 
@@ -36,6 +36,7 @@ class Regression:
         responses = np.asarray(y, dtype=np.float64)
         weights = checked_weights(sample_weight, len(X))
         scheme = scheme_of(cv, X, responses, groups)
+        expect_training(scheme, weights)
         return cls(X, responses.reshape(len(responses), -1), responses.ndim == 1, weights, scheme)
 
     def without_absent(self) -> Regression:

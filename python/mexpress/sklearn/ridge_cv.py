@@ -33,8 +33,8 @@ class RidgeCV(LinearModel):
     fit_intercept : bool, default True
         Whether the model has a constant, which is not penalised.
     scoring : str or callable, optional
-        As for scikit-learn. By default R^2, the mean over the pairs; for leave-one-out, and where a pair validates a
-        single datum, whose R^2 is not defined, the negated mean of weight times squared error.
+        As for `Ridge.cross_val_score`. By default R^2, the mean over the pairs; for leave-one-out, and where a pair
+        validates a single datum, whose R^2 is not defined, the negated mean of weight times squared error.
     cv : int, splitter, Scheme or iterable of (train, test), optional
         What is held out, see `mexpress.schemes`; leave-one-out by default.
     alpha_per_target : bool, default False
@@ -147,7 +147,8 @@ class RidgeCV(LinearModel):
             pairs = list(zip(regression.validated.T, predictions.T, strict=True))
         if self.cv is None:
             ends = ends[[0, -1]]
-        return np.array([fold_scores(self.scoring, ends, *pair, some).mean() for pair in pairs])
+        X, rows = regression.X, validated.indices
+        return np.array([fold_scores(self.scoring, ends, X, rows, *pair, some).mean() for pair in pairs])
 
 
 def _checked_alphas(alphas: ArrayLike) -> Floats:

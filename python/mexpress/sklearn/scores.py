@@ -7,22 +7,31 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.metrics import get_scorer
 
+from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 
 
 class Predicted(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
-    """What scorers take for an estimator: its X are its predictions."""
+    """What scorers take for the estimators of a fold: it knows the predictions of that fold's data, and no others."""
+
+    def __init__(self, features: Floats, predictions: Floats) -> None:
+        self.features = features
+        self.predictions = predictions
 
     def __sklearn_is_fitted__(self) -> bool:
         return True
 
-    def predict(self, X: Floats) -> Floats:
-        """Return the predictions."""
-        return X
+    def predict(self, X: ArrayLike) -> Floats:
+        """Return the predictions of the fold's data."""
+        if X is not self.features and not np.array_equal(X, self.features):
+            rule = f"A scorer must predict all {len(self.features)} data of its fold at once: no others are known."
+            check.refuse("X", rule, check.describe(X))
+        return self.predictions
 
 
 def scorer_of(scoring: Any) -> Any:
@@ -31,7 +40,13 @@ def scorer_of(scoring: Any) -> Any:
 
 
 def fold_scores(
-    scoring: Any, ends: Integers, truth: Floats, predictions: Floats, weights: Floats | None = None
+    scoring: Any,
+    ends: Integers,
+    X: Floats,
+    rows: Integers,
+    truth: Floats,
+    predictions: Floats,
+    weights: Floats | None = None,
 ) -> Floats:
     """Score each fold, (k,).
 
@@ -41,15 +56,20 @@ def fold_scores(
         As for `sklearn.model_selection.cross_val_score`; R^2 if None.
     ends : (k + 1,) int array
         Fold f has the data from ``ends[f]`` to ``ends[f + 1]``.
+    X : (n, p) array
+        Features of all data, for scorers that look at them.
+    rows : (t,) int array
+        Validated data, fold after fold.
     truth, predictions : (t,) or (t, r) arrays
-        Responses of the validated data, fold after fold, and their predictions.
+        Their responses and predictions.
     weights : (t,) array, optional
-        Weights of the validated data in the scores.
+        Their weights in the scores.
 
     Examples
     --------
+    >>> ends, rows = np.array([0, 2, 3]), np.arange(3)
     >>> truth, predictions = np.array([1.0, 2.0, 3.0]), np.array([1.0, 4.0, 3.0])
-    >>> fold_scores("neg_mean_squared_error", np.array([0, 2, 3]), truth, predictions)
+    >>> fold_scores("neg_mean_squared_error", ends, np.eye(3), rows, truth, predictions)
     array([-2., -0.])
     """
     of_folds = None if callable(scoring) else _MANY_FOLDS.get("r2" if scoring is None else scoring)
@@ -57,15 +77,14 @@ def fold_scores(
         shape = len(truth), -1
         shares = np.ones((len(truth), 1)) if weights is None else weights[:, None]
         return of_folds(Folds(ends, shares), truth.reshape(shape), predictions.reshape(shape))
-    scorer, folds = scorer_of(scoring), map(slice, ends[:-1], ends[1:])
-    of_fold = [(truth[fold], predictions[fold], None if weights is None else weights[fold]) for fold in folds]
-    return np.array([score_once(scorer, *each) for each in of_fold])
-
-
-def score_once(scorer: Any, truth: Floats, predictions: Floats, weights: Floats | None) -> float:
-    """Score predictions by a scorer."""
-    weighted = {} if weights is None else {"sample_weight": weights}
-    return float(scorer(Predicted(), predictions, truth, **weighted))
+    scorer = scorer_of(scoring)
+    scores = []
+    for fold in map(slice, ends[:-1], ends[1:]):
+        weighted = {} if weights is None else {"sample_weight": weights[fold]}
+        features = X[rows[fold]]
+        estimator = Predicted(features, predictions[fold])
+        scores.append(float(scorer(estimator, features, truth[fold], **weighted)))
+    return np.array(scores)
 
 
 class Folds(NamedTuple):
