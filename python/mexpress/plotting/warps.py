@@ -159,7 +159,7 @@ def _at_some(every: int) -> str:
 
 def _draw_sizes(axes: Axes, places: Floats, errors: Floats, size: float) -> None:
     """Draw matches in the colours of their errors, large errors on top."""
-    order = np.argsort(np.nan_to_num(errors, nan=np.inf), kind="stable")
+    order = np.argsort(np.nan_to_num(errors, nan=np.inf, posinf=np.inf), kind="stable")
     places, errors = places[order], errors[order]
     look: dict[str, Any] = {"cmap": "plasma_r", "vmin": 0, "vmax": percentile(errors, 98) or 1.0}
     look |= {"s": size, "edgecolors": "black", "linewidths": 0.2, "zorder": 3}
