@@ -181,7 +181,8 @@ def plot_registration(
     """Plot how well a warp registers two images, in the frame of the source image.
 
     Three panels: the source image, faded behind the matches; the target image pulled into its frame;
-    both laid over each other, source in magenta and target in green, so that what is registered is gray.
+    both laid over each other, source in magenta and target in green, so that what is registered is gray:
+    the target has the light of the source around each pixel.
     Where the warp folds or vanishes is painted over; a dashed line encloses the matches, outside of which the
     warp extrapolates. Control points are shown if they are few.
 
