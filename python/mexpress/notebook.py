@@ -7,11 +7,13 @@ text around them, on dark pages too.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from html import escape
 
 ACCENT = "#d55e00"
 """Colour of what is chosen; it is told from black and from white."""
+
+_LINE = f'stroke="{ACCENT}" stroke-width="1.8"'
 
 _WIDTH, _HEIGHT, _EDGE = 340, 170, 10
 """Size of a picture in pixels, and what its lines leave free on every side."""
@@ -82,9 +84,15 @@ def notes(sentences: Sequence[str]) -> str:
 
 
 def curve(
-    name: str, x: Sequence[float], y: Sequence[float], chosen: int, marks: Sequence[str], axis: str
+    name: str,
+    x: Sequence[float],
+    y: Sequence[float],
+    chosen: int,
+    marks: Sequence[str],
+    axis: str,
+    rival: tuple[str, float] | None = None,
 ) -> str:
-    """Return a picture of a curve with one of its points marked.
+    """Return a picture of a curve with one of its points marked, and of what was chosen instead, if anything was.
 
     Parameters
     ----------
@@ -99,6 +107,8 @@ def curve(
         What to write at the first, the chosen and the last x.
     axis : str
         What x is.
+    rival : (str, float), optional
+        Name and value of what has no x and was chosen: a line across. The mark is then hollow.
 
     Returns
     -------
@@ -110,15 +120,17 @@ def curve(
     >>> curve("score", [3, 4, 5], [2.0, 1.0, 1.5], 1, ["3", "4", "5"], "control points").count("<circle")
     1
     """
-    low, high = _span(y, y[chosen])
+    low, high = _span([*y, *([] if rival is None else rival[1:])], y[chosen])
     scaled = math.log if low > 0 and high > 3 * low else float
     left, right, top, bottom = 64.0, _WIDTH - 4.0 * _EDGE, 26.0, _HEIGHT - 40.0
     across = (right - left) / ((x[-1] - x[0]) or 1.0)
     up = (bottom - top) / ((scaled(high) - scaled(low)) or 1.0)
+
+    def level(value: float) -> float:
+        return bottom - up * (scaled(min(value, high)) - scaled(low))
+
     places = [
-        (left + across * (at - x[0]), bottom - up * (scaled(min(value, high)) - scaled(low)))
-        if math.isfinite(value)
-        else (math.nan, math.nan)
+        (left + across * (at - x[0]), level(value)) if math.isfinite(value) else (math.nan, math.nan)
         for at, value in zip(x, y, strict=True)
     ]
     middle, height = places[chosen]
@@ -134,9 +146,16 @@ def curve(
         _text(left, top - 12, name, "start"),
         _text((left + right) / 2, bottom + 34, axis),
         _text(middle, bottom + 17, marks[1], weight="bold"),
-        f'<circle cx="{middle:.1f}" cy="{height:.1f}" r="4.5" fill="{ACCENT}"/>',
+        f'<circle cx="{middle:.1f}" cy="{height:.1f}" r="4.5" fill="{"none" if rival else ACCENT}" {_LINE}/>',
+        *([] if rival is None else _across(*rival, (left, right), level(rival[1]), top - 12)),
     ]
     return _picture(f"{name}, {axis}", drawn)
+
+
+def _across(name: str, value: float, ends: tuple[float, float], height: float, above: float) -> Iterator[str]:
+    """Return a line across a picture, and what it is, above the picture."""
+    yield f'<path d="{path_data((x, height) for x in ends)}" {_LINE} stroke-dasharray="6 3"/>'
+    yield _text(ends[1], above, f"{name}: {value:.4g}", "end", "bold", ACCENT)
 
 
 def _span(y: Sequence[float], best: float) -> tuple[float, float]:
@@ -186,9 +205,16 @@ def _path(places: Sequence[tuple[float, float]], look: str) -> str:
     return f'<path d="{path_data(places)}" fill="none" stroke="currentColor" {look}/>'
 
 
-def _text(x: float, y: float, text: str, anchor: str = "middle", weight: str = "normal") -> str:
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    anchor: str = "middle",
+    weight: str = "normal",
+    colour: str = "currentColor",
+) -> str:
     where = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-weight="{weight}"'
-    return f'<text {where} fill="currentColor">{escape(text)}</text>'
+    return f'<text {where} fill="{colour}">{escape(text)}</text>'
 
 
 def _picture(name: str, drawn: Sequence[str]) -> str:

@@ -10,6 +10,9 @@ from mexpress import _validation as check
 _AT_ONCE = 1 << 18
 """Pixels that are resampled at once."""
 
+_MOST_PIXELS = 10**10
+"""Largest number of pixels of an image, 80 GB of positions; more are refused as a mistake."""
+
 
 def check_image(value: ArrayLike, name: str) -> NDArray[Any]:
     """Return an image as an array, (h, w) or (h, w, c), of its own type.
@@ -31,6 +34,22 @@ def check_image(value: ArrayLike, name: str) -> NDArray[Any]:
     if pixels.ndim not in (2, 3) or pixels.size == 0:
         check.refuse(name, rule, f"shape {pixels.shape}")
     return pixels
+
+
+def check_pixels(width: Any, height: Any) -> tuple[int, int]:
+    """Return the width and the height of an image in pixels; so many that no machine holds them are a mistake.
+
+    Examples
+    --------
+    >>> check_pixels(10**6, 10**6)
+    Traceback (most recent call last):
+    ValueError: Invalid width. An image must have at most 1e+10 pixels. Given 1000000, and height 1000000.
+    """
+    width, height = check.count(width, "width", 1), check.count(height, "height", 1)
+    if width * height > _MOST_PIXELS:
+        rule = f"An image must have at most {_MOST_PIXELS:g} pixels."
+        check.refuse("width", rule, f"{width}, and height {height}")
+    return width, height
 
 
 def check_size(value: Any, name: str) -> tuple[int, int]:

@@ -19,6 +19,7 @@ from mexpress.io.images import read_image
 from mexpress.io.matches import read_points, write_matches
 from mexpress.liftings import ThinPlateSpline
 from mexpress.progress import bar
+from mexpress.versions import versions
 
 RNG = np.random.default_rng(1)
 SOURCE = RNG.uniform(0, 1, (80, 2)) * [640, 480]
@@ -59,6 +60,7 @@ def test_files_hold_what_the_library_returns(matches, run, tmp_path):
         rows = list(csv.DictReader(file))
     assert [int(row["count"]) for row in rows] == expected.counts.tolist()
     said = json.loads((out / "selection.json").read_text())
+    assert said["versions"] == versions()
     assert said["selected"] == expected.selected
     assert said["count"] == expected.count
     assert said["command"]["counts"] == list(range(3, 19))

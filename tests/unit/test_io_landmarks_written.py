@@ -106,6 +106,16 @@ def test_what_is_no_reference_system(tmp_path, crs):
     refused(lambda: mx.io.write_landmarks(tmp_path / "g.txt", PIXELS, MAP, crs=crs), "crs")
 
 
+def test_points_above_the_image_are_not_for_qgis(tmp_path):
+    above = np.vstack([PIXELS, [[3, -0.6]]]), np.vstack([MAP, MAP[:1]])
+    said = refused(lambda: mx.io.write_landmarks(tmp_path / "g.points", *above), "source", ValueError)
+    assert said.endswith("Given -0.6.")
+    mx.io.write_landmarks(tmp_path / "g.txt", *above)
+    above[0][-1, 1] = -0.5
+    mx.io.write_landmarks(tmp_path / "g.points", *above)
+    np.testing.assert_array_equal(mx.io.read_matches(tmp_path / "g.points")[0], above[0])
+
+
 def test_points_come_in_pairs(tmp_path):
     refused(lambda: mx.io.write_landmarks(tmp_path / "g.txt", PIXELS, MAP[:-1]), "target", ValueError)
     refused(lambda: mx.io.write_landmarks(tmp_path / "g.txt", PIXELS[:, :1], MAP), "source", ValueError)

@@ -134,7 +134,7 @@ def test_a_surface_without_data_has_no_error():
     [
         ("region", [(0, 1, 2), "wesn", 3, ("0", 1, 0, 1), (0, 1, 0, True), {1, 2}]),
         ("region", [(1, 1, 0, 1), (2, 1, 0, 1), (0, 1, 1, 0), (0, np.nan, 0, 1), (0, 1, 0, 1e200)]),
-        ("spacing", [0, -1, np.nan, "2", 1e-9, [1, 2], True]),
+        ("spacing", [0, -1, np.nan, "2", 1e-9, [1, 2], True, 1e3]),
         ("shape", [(1, 5), 7, (3,), (3, 3.5), (10_000, 10_000), "ab"]),
         ("names", [["a", "b"], [], "", 3, ["x"], "y", "error", [None]]),
         ("dims", [("a",), ("a", "a"), "ab", 3, ("a", 1), ("", "x")]),
@@ -159,7 +159,11 @@ def test_arguments_that_contradict_each_other():
         refused(lambda a=argument, v=value: SURFACE.to_xarray(like=like, **{a: v}), argument, ValueError)
     refused(lambda: SURFACE.to_xarray(spacing=1, shape=(2, 2)), "shape", ValueError)
     crowded = like.assign_coords(value=("x", [1, 2, 3]))
-    refused(lambda: SURFACE.to_xarray(like=crowded), "names", ValueError)
+    said = refused(lambda: SURFACE.to_xarray(like=crowded), "names", ValueError)
+    assert said == (
+        "Invalid names. It must be one name that no coordinate of the grid has, nor the error. "
+        "Given 'value', the default."
+    )
     huge = xr.Dataset(coords={"y": np.arange(4000), "x": np.arange(4000)})
     refused(lambda: SURFACE.to_xarray(like=huge), "like", ValueError)
 
@@ -168,3 +172,9 @@ def test_without_xarray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(ImportError, match=r"pip install 'mexpress\[xarray\]'"):
         SURFACE.to_xarray()
+
+
+def test_a_spacing_may_be_as_long_as_the_region():
+    assert SURFACE.to_xarray((0, 3, 0, 0.3), spacing=0.3).sizes == {"y": 2, "x": 11}
+    said = refused(lambda: SURFACE.to_xarray((0, 3, 0, 0.3), spacing=0.31), "spacing", ValueError)
+    assert "must not exceed 0.3" in said

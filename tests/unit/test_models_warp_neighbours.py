@@ -94,8 +94,22 @@ def test_a_subclass_estimates_warps_of_its_own_kind():
         (SOURCE[[0] * 9], TARGET[[0] * 9], {}),
         (SOURCE[[0, 1, 2, 2]], TARGET[[0, 1, 2, 2]], {}),
         (SOURCE[:12], TARGET[:12], {"count": 12}),
+        (SOURCE[:12], TARGET[:12], {"count": 13, "fractional": False}),
+        (SOURCE[[0, 1, 2, 3, 3]], TARGET[:5], {"count": 5, "fractional": False}),
+        (SOURCE[:0], TARGET[:0], {}),
     ],
-    ids=["three", "one", "two of an affine map", "a line", "one place", "three places", "3l - 1 > 2n"],
+    ids=[
+        "three",
+        "one",
+        "two of an affine map",
+        "a line",
+        "one place",
+        "three places",
+        "3l - 1 > 2n",
+        "l > n",
+        "l > places",
+        "none",
+    ],
 )
 def test_what_matches_do_not_determine_is_none(source, target, options):
     assert mx.Warp.from_estimate(source, target, **options) is None
@@ -104,6 +118,10 @@ def test_what_matches_do_not_determine_is_none(source, target, options):
 def test_what_is_no_match_is_refused():
     refused(lambda: mx.Warp.from_estimate(SOURCE, TARGET[:-1]), "target", ValueError)
     refused(lambda: mx.Warp.from_estimate(SOURCE.ravel(), TARGET), "source", ValueError)
+    refused(lambda: mx.Warp.from_estimate(SOURCE[:0], TARGET), "source", ValueError)
+    refused(lambda: mx.Warp.from_estimate(SOURCE, TARGET[:0]), "target", ValueError)
+    refused(lambda: mx.Warp.from_estimate([], []), "source", ValueError)
+    refused(lambda: mx.Warp.from_estimate(SOURCE * np.nan, TARGET), "source", ValueError)
     refused(lambda: mx.Warp.from_estimate(SOURCE, TARGET, 2), "count", ValueError)
     refused(lambda: mx.Warp.from_estimate(SOURCE, TARGET, fractional=1), "fractional", TypeError)
     refused(lambda: WARP.residuals(SOURCE, TARGET[:-1]), "target", ValueError)
@@ -221,3 +239,11 @@ def test_flags_are_true_or_false(flag):
         with pytest.raises(TypeError) as caught:
             call(4, 3, inverse=flag)
         in_form(caught.value)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+@pytest.mark.parametrize("size", [(10**6, 10**6), (1, 10**11), (10**30, 1)])
+def test_images_that_no_machine_holds(size, inverse):
+    refused(lambda: WARP.displacement_field(*size, inverse=inverse), "width", ValueError)
+    refused(lambda: (WARP.inverse_map if inverse else WARP.dense_map)(*size), "width", ValueError)
+    refused(lambda: WARP.remap(np.zeros((3, 4)), size, inverse=inverse), "width", ValueError)

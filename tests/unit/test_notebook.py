@@ -128,7 +128,34 @@ def test_a_rival_that_is_selected_is_named():
     html = selection._repr_html_()
     assert "MATCHED selects the affine map" in text(html)
     assert cells(html)["MATCHED"][0] == "affine map"
-    assert "MATCHED, but for the affine map" in text(html)
+    tree = parsed(html)
+    assert f"affine map: {selection.score:.4g}" in {each.text for each in tree.iter("text")}
+    (across,) = (path for path in tree.iter("path") if path.get("stroke-dasharray"))
+    ((_, level), (_, same)) = corners(across)[0]
+    (mark,) = tree.iter("circle")
+    assert mark.get("fill") == "none"
+    best = selection.maps["MATCHED"][selection.place]
+    assert level == same
+    assert (level > float(mark.get("cy"))) == (selection.score < best)
+
+
+def test_a_rival_is_drawn_to_the_curve_s_scale():
+    for value in (0.5, 1.5, 3.0, 6.0):
+        tree = parsed(
+            notebook.curve("score", [3, 4, 5], [3.0, 1.0, 2.0], 1, ["3", "4", "5"], "x", ("plane", value))
+        )
+        (across,) = (path for path in tree.iter("path") if path.get("stroke-dasharray"))
+        (mark,) = tree.iter("circle")
+        axes, line, *_ = (corners(path)[0] for path in tree.iter("path"))
+        (left, top), (_, bottom), (right, _) = axes
+        low, high = min(value, 1.0), max(value, 3.0)
+        share = np.log(value / low) / np.log(high / low) if high > 3 * low else (value - low) / (high - low)
+        np.testing.assert_allclose(
+            corners(across)[0],
+            [[left, bottom + share * (top - bottom)], [right, bottom + share * (top - bottom)]],
+            atol=0.1,
+        )
+        np.testing.assert_allclose(float(mark.get("cy")), line[1][1], atol=0.1)
 
 
 def test_criteria_without_a_score_select_nothing():

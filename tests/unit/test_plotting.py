@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from scipy.ndimage import uniform_filter
 
 import mexpress as mx
 from mexpress import plotting
@@ -291,6 +292,41 @@ def test_large_images_are_reduced_without_a_shift():
     centres = rasters.pixel_centres(reduced, step)
     np.testing.assert_allclose(centres.mean(axis=0), (np.array(large.shape[::-1]) - 1) / 2, atol=step)
     np.testing.assert_allclose(reduced.mean(), large.mean(), rtol=1e-2)
+
+
+def test_images_in_different_light_are_gray_where_they_are_registered():
+    image = np.kron(np.random.default_rng(0).uniform(0.2, 0.8, (30, 40)), np.ones((4, 4)))
+    shadow = np.linspace(0.2, 1, 160) * image + np.linspace(0.3, 0, 120)[:, None]
+    apart = np.abs(np.diff(rasters.blended(image, shadow)[..., :2]))
+    assert np.median(apart) < 0.02
+    assert np.median(np.abs(np.diff(rasters.blended(image, np.roll(shadow, 4, axis=1))[..., :2]))) > 0.1
+
+
+def test_mean_and_contrast_are_those_around_each_pixel():
+    rng = np.random.default_rng(0)
+    first, second = rng.uniform(0.4, 0.6, (2, 50, 60))
+    second[:20, 10:30] = np.nan
+    known = np.isfinite(second)
+
+    @np.errstate(divide="ignore", invalid="ignore")  # where nothing is known
+    def around(image):
+        share = uniform_filter(known.astype(float), 7, mode="constant")
+        powers = (np.where(known, power, 0) for power in (image, image**2))
+        mean, square = (uniform_filter(power, 7, mode="constant") / share for power in powers)
+        return mean, np.sqrt(square - mean**2) + 0.3 * image[known].std()
+
+    (mean, contrast), (others, others_contrast) = around(first), around(second)
+    expected = (second - others) * contrast / others_contrast + mean
+    found = rasters.blended(first, second)
+    np.testing.assert_allclose(found[known][:, 1], np.clip(expected, 0, 1)[known], atol=1e-9)
+    np.testing.assert_array_equal(found[known][:, [0, 2]], first[known][:, None].repeat(2, axis=1))
+    np.testing.assert_array_equal(found[~known], 0.5 + 0.5 * first[~known][:, None].repeat(3, axis=1))
+
+
+@pytest.mark.parametrize("flat", [np.zeros((5, 6)), np.full((5, 6), np.nan), np.ones((1, 1))])
+def test_images_without_contrast_or_beyond_each_other_are_laid_over_each_other(flat):
+    shown = rasters.blended(np.ones(flat.shape), flat)
+    assert np.isfinite(shown).all()
 
 
 def test_where_a_warp_fails_is_painted():

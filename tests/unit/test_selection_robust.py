@@ -299,6 +299,12 @@ def test_clean_data_lose_nothing():
     np.testing.assert_array_equal(robust.warp.parameters, plain.warp.parameters)
 
 
+def test_an_error_where_none_is_expected_is_wrong_without_a_warning():
+    points = np.random.default_rng(0).uniform(0, 9, (60, 2))
+    flat = np.where(np.arange(60) == 7, 100.0, 0.0)
+    assert mx.select_surface(points, flat, robust=True).left_out.tolist() == [7]
+
+
 @pytest.mark.parametrize("wrong", [1, "yes", None, 0.5])
 def test_robust_is_yes_or_no(wrong):
     points = np.random.default_rng(0).uniform(size=(20, 2))

@@ -1,5 +1,6 @@
 """Estimators of scikit-learn: closed forms against its own refits, and what it asks of estimators."""
 
+import inspect
 import pickle
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 import pytest
 import sklearn.linear_model as refits
 import verde
+from scipy.interpolate import RBFInterpolator
 from scipy.sparse import coo_array
 from sklearn.base import clone
 from sklearn.exceptions import UndefinedMetricWarning
@@ -32,6 +34,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
 import mexpress as mx
+from mexpress.models import CardinalBasis
 from mexpress.sklearn import LinearRegression, Ridge, RidgeCV, SurfaceRegressor
 
 N, P = 48, 5
@@ -371,6 +374,10 @@ def test_groups_reach_the_splitter():
         (lambda: SurfaceRegressor(lifting="spline").fit(X[:, :2], Y), "Invalid lifting"),
         (lambda: SurfaceRegressor().fit(X[:, [0, 0]], Y), "Invalid points"),
         (lambda: SurfaceRegressor().fit(X, Y).grid(), "Invalid surface.*5 features"),
+        (
+            lambda: SurfaceRegressor().fit(X[:, :2], Y).predict(X[:, :2], return_std="no"),
+            "Invalid return_std",
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.UndefinedMetricWarning")
@@ -526,15 +533,108 @@ def test_every_value_has_a_deviation_of_its_own():
         np.testing.assert_allclose(std[:, a], alone.predict(points[:50], return_std=True)[1], rtol=1e-9)
 
 
-def test_covariates_enter_linearly():
-    points, values = waves(300)
-    altitude = np.random.default_rng(5).normal(size=(300, 2)) + points[:, :1]
-    features = np.column_stack([points, altitude])
-    found = SurfaceRegressor().fit(features[:200], (values + altitude @ [3.0, -2.0])[:200])
-    np.testing.assert_allclose(found.coef_, [3.0, -2.0], atol=0.15)
-    assert found.score(features[200:], (values + altitude @ [3.0, -2.0])[200:]) > 0.99
-    exact = refits.LinearRegression().fit(features[:200], (values + altitude @ [3.0, -2.0])[:200])
-    np.testing.assert_allclose(found.coef_, exact.coef_[2:], rtol=1e-9)
+# What altitudes may be over positions from 0 to 10, with a rough part or without one.
+ROUGH = {
+    "apart": lambda x, y, rough: rough,
+    "slope": lambda x, y, rough: 0.5 * x + 0.3 * rough,
+    "hill": lambda x, y, rough: 3 * np.exp(-((x - 5) ** 2 + (y - 5) ** 2) / 8) + 0.3 * rough,
+    "against the surface": lambda x, y, rough: -high(x, y) + 0.2 * rough,
+    "ridges": lambda x, y, rough: np.sin(3 * x),  # they go with position, but the surface is smoother
+}
+SMOOTH = {
+    "x": lambda x, y: x,
+    "hill": lambda x, y: np.exp(-((x - 5) ** 2 + (y - 5) ** 2) / 30),
+    "constant": lambda x, y: np.full(len(x), 0.1),
+}
+
+
+def high(x, y):
+    return 2 * np.sin(x) + 1.5 * np.cos(0.7 * y) + 0.3 * x
+
+
+def climate(altitude, n=200, noise=0.2, seed=0):
+    """Return positions and an altitude, values of which the altitude adds 2 times itself, and those without noise."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 10, (n, 2))
+    above = altitude(*points.T, rng.normal(size=n))
+    truth = high(*points.T) + 2 * above
+    return np.column_stack([points, above]), truth + noise * rng.normal(size=n), truth
+
+
+def off(found, truth):
+    return np.sqrt(np.mean((found - truth) ** 2))
+
+
+@pytest.mark.parametrize(("noise", "most"), [(0.001, 0.03), (0.2, 0.15)])
+@pytest.mark.parametrize("altitude", ROUGH.values(), ids=ROUGH)
+def test_covariates_are_told_from_the_surface(altitude, noise, most):
+    features, values, truth = climate(altitude, 400, noise)
+    found = SurfaceRegressor().fit(features[:200], values[:200])
+    np.testing.assert_allclose(found.coef_, [2], atol=most)
+    known = SurfaceRegressor().fit(features[:200, :2], (values - 2 * features[:, 2])[:200])
+    expected = known.predict(features[200:, :2]) + 2 * features[200:, 2]
+    assert off(found.predict(features[200:]), truth[200:]) < 1.15 * off(expected, truth[200:])
+
+
+def left_by_scipy(features, columns, smoothing):
+    """What scipy's spline leaves of columns, (n, k): that of all data, with the same weight of the bending energy."""
+    points = features[:, :2]
+    return columns - RBFInterpolator(points, columns, smoothing=smoothing)(points)
+
+
+@pytest.mark.parametrize("altitude", ROUGH.values(), ids=ROUGH)
+def test_coefficients_are_those_of_the_partial_spline(altitude):
+    features, values, _ = climate(altitude)
+    features = np.column_stack([features, features[:, 2] + np.random.default_rng(7).normal(size=200)])
+    both = np.column_stack([values, 5 * features[:, 3] - values])
+    found = SurfaceRegressor().fit(features, both)
+    assert len(found.surface_.control_points) == 200
+    left = left_by_scipy(features, np.column_stack([features[:, 2:], both]), found.surface_.smoothing)
+    expected = np.linalg.lstsq(left[:, :2], left[:, 2:], rcond=None)[0]
+    np.testing.assert_allclose(found.coef_, expected.T, rtol=1e-8)
+
+
+def test_coefficients_are_about_those_of_the_joint_fit():
+    """That of a covariate apart from position, with surface and coefficient in one penalised least squares."""
+    features, values, _ = climate(ROUGH["apart"])
+    found = SurfaceRegressor().fit(features, values)
+    surface, above = found.surface_, features[:, 2:]
+    functions = CardinalBasis(surface.lifting)
+    bending = np.sqrt(surface.smoothing) * functions.bending()
+    rows = np.block([[functions.at(features[:, :2]), above], [bending, np.zeros((len(bending), 1))]])
+    joint = np.linalg.lstsq(rows, np.append(values, np.zeros(len(bending))), rcond=None)[0]
+    noise = 0.2 / np.linalg.norm(above)
+    np.testing.assert_allclose(found.coef_, joint[-1], atol=0.5 * noise)
+    assert off(found.predict(features), rows[:200] @ joint) < 0.02
+
+
+@pytest.mark.parametrize("altitude", SMOOTH.values(), ids=SMOOTH)
+def test_what_goes_with_position_alone_is_the_surfaces(altitude):
+    features, values, _ = climate(lambda x, y, rough: altitude(x, y))
+    found = SurfaceRegressor().fit(features, values)
+    np.testing.assert_array_equal(found.coef_, [0])
+    expected = SurfaceRegressor().fit(features[:, :2], values).predict(features[:, :2])
+    np.testing.assert_allclose(found.predict(features), expected, rtol=1e-12)
+
+
+def test_coefficients_have_the_covariates_units():
+    features, values, _ = climate(ROUGH["hill"])
+    expected = SurfaceRegressor().fit(features, values).coef_[0]
+    for unit, origin in [(1e6, 1e8), (1e-150, 0), (1e150, 0)]:
+        other = np.column_stack([features[:, :2], unit * features[:, 2] + origin])
+        np.testing.assert_allclose(SurfaceRegressor().fit(other, values).coef_ * unit, expected, rtol=1e-7)
+    twice = SurfaceRegressor().fit(features[:, [0, 1, 2, 2]], values).coef_
+    np.testing.assert_allclose(twice, [expected / 2] * 2, rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::mexpress.suspicion.SuspicionWarning")
+def test_wrong_values_do_not_move_coefficients():
+    features, values, _ = climate(ROUGH["hill"])
+    wrong = np.arange(200) % 25 == 4
+    found = SurfaceRegressor(robust=True).fit(features, values + 15 * wrong)
+    np.testing.assert_array_equal(found.selection_.left_out, np.flatnonzero(wrong))
+    np.testing.assert_allclose(found.coef_, [2], atol=0.15)
+    assert abs(SurfaceRegressor().fit(features, values + 15 * wrong).coef_[0] - 2) > 0.2
 
 
 def test_a_weight_of_two_is_a_datum_twice():
@@ -543,6 +643,16 @@ def test_a_weight_of_two_is_a_datum_twice():
     weighted = SurfaceRegressor().fit(points, values, 1.0 + twice)
     repeated = SurfaceRegressor().fit(np.vstack([points, points[twice]]), np.append(values, values[twice]))
     np.testing.assert_allclose(weighted.predict(points), repeated.predict(points), rtol=1e-9)
+
+
+def test_a_weight_of_two_is_a_covariate_twice():
+    features, values, _ = climate(ROUGH["hill"])
+    twice = np.arange(200) % 3 == 0
+    weighted = SurfaceRegressor().fit(features, values, 1.0 + twice)
+    repeated = SurfaceRegressor().fit(
+        np.vstack([features, features[twice]]), np.append(values, values[twice])
+    )
+    np.testing.assert_allclose(weighted.coef_, repeated.coef_, rtol=1e-9)
 
 
 def test_a_datum_of_weight_zero_is_absent():
@@ -576,3 +686,6 @@ def test_a_grid_is_a_dataset():
     expected = found.surface_.to_xarray((2, 8, 3, 7), spacing=1.0, names="height")
     assert grid.identical(expected)
     assert grid.height.shape == (5, 7)
+    assert found.grid(like=expected, outside="extrapolate").sizes == expected.sizes
+    parameters = [set(inspect.signature(call).parameters) for call in (found.grid, found.surface_.to_xarray)]
+    assert parameters[0] == parameters[1]

@@ -26,6 +26,7 @@ from mexpress.selection import Selection, SurfaceSelection, WarpSelection
 from mexpress.selection.defaults import AUTO
 from mexpress.selection.fitted import FittedSelection
 from mexpress.selection.queries import IMAGE
+from mexpress.versions import versions
 
 
 class Parser(argparse.ArgumentParser):
@@ -345,7 +346,7 @@ def write_selection(
     }
     reports.write_summary(
         arguments.out / "selection.json",
-        {"command": command, "versions": reports.versions(), **selection.to_dict(), **more},
+        {"command": command, "versions": versions(), **selection.to_dict(), **more},
     )
     reports.write_curves(arguments.out / "curves.csv", selection)
     return ["selection.json", "curves.csv"]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -202,17 +200,6 @@ def write_curves(path: PathLike, selection: Selection) -> None:
         del columns["smoothing"], columns["parameters"]
     with Path(path).open("w", encoding="utf-8", newline="\n") as file:
         write_rows(file, list(columns), zip(*(column.tolist() for column in columns.values()), strict=True))
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of mexpress, numpy and Python.
-
-    Examples
-    --------
-    >>> sorted(versions())
-    ['mexpress', 'numpy', 'python']
-    """
-    return {"mexpress": version("mexpress"), "numpy": np.__version__, "python": platform.python_version()}
 
 
 def as_json(content: Mapping[str, Any]) -> str:

@@ -157,7 +157,8 @@ def write_landmarks(
     Raises
     ------
     ValueError, TypeError
-        If the points are not as many in either place, or the path has another ending.
+        If the points are not as many in either place, or the path has another ending; or if a point for QGIS is above
+        the image, as points of images with coordinates are.
     OSError
         If the file cannot be written; an existing file is then unchanged.
 
@@ -186,6 +187,9 @@ def write_landmarks(
     ending = check.path(path).suffix.lower()
     if ending not in _WRITTEN:
         check.refuse("path", "It must end in .points or .txt.", check.describe(os.fspath(path)))
+    if ending == ".points" and (pixels[:, 1] < 0).any():
+        rule = "y must be at least -0.5 for QGIS, the upper edge of the image: it grows downwards."
+        check.refuse("source", rule, f"{pixels[:, 1].min() - _CORNER:g}")
     lines = _WRITTEN[ending](np.column_stack([pixels, places]), system)
     with replacing(path) as file:
         file.write("".join(f"{line}\n" for line in lines).encode())

@@ -62,7 +62,8 @@ def regular(
     Raises
     ------
     ValueError
-        If the grid has more than 10^7 samples, or both a step, called by its name, and a shape are given.
+        If the grid has more than 10^7 samples, both a step, called by its name, and a shape are given, or the step is
+        longer than the box is wide or high.
     """
     low, extent = box.low, box.extent
     if shape is not None:
@@ -72,6 +73,9 @@ def regular(
         _check_samples(rows * columns, "shape", check.describe(shape))
         return low[0] + np.linspace(0, extent[0], columns), low[1] + np.linspace(0, extent[1], rows)
     spacing = box.usual_step if step is None else check.positive(step, name)
+    if step is not None and spacing * (1 - EDGE) > extent.min():
+        rule = f"It must not exceed {extent.min():g}, so that there are two rows and two columns."
+        check.refuse(name, rule, f"{spacing:g}")
     with np.errstate(over="ignore"):
         columns, rows = np.floor(extent / spacing + EDGE) + 1
     _check_samples(columns * rows, name, f"{spacing:g}")

@@ -396,12 +396,13 @@ class Surface(FittedModel):
     def _names(self, names: str | Sequence[str] | None, grid: Sheet, error: bool) -> list[str]:
         """Return what the values are called on a grid."""
         d = self._dimension
-        if names is None:
-            names = ["value"] if d == 1 else [f"value_{k}" for k in range(d)]
-        rule = f"It must be {d} names, those of coordinates and {_ERROR} excepted."
-        called = names_of(names, "names", d, rule)
+        usual = ["value"] if d == 1 else [f"value_{k}" for k in range(d)]
+        which = "It must be one name" if d == 1 else f"They must be {d} names"
+        rule = f"{which} that no coordinate of the grid has{', nor the error' if error else ''}."
+        called = names_of(usual if names is None else names, "names", d, rule)
         if taken := set(called) & {*grid.dims, *grid.coordinates, *([_ERROR] if error else [])}:
-            check.refuse("names", rule, ", ".join(sorted(map(str, taken))))
+            given = ", ".join(sorted(map(repr, map(str, taken))))
+            check.refuse("names", rule, f"{given}, the default" if names is None else given)
         return called
 
     def write_mesh(

@@ -21,7 +21,7 @@ from mexpress.models.expectation import EXTRAPOLATE, FittedModel, check_outside
 from mexpress.models.itk import check_plane, displacement_transform
 from mexpress.models.observations import Observations
 from mexpress.placement import farthest_order
-from mexpress.resampling import check_fill, check_image, check_size, resampled
+from mexpress.resampling import check_fill, check_image, check_pixels, check_size, resampled
 
 _SAMPLES = 1000
 """Number of sample points of the domain, for medians over it and for the starts of `inverse`."""
@@ -125,15 +125,15 @@ class Warp(FittedModel):
             Matched points in pixels of either image, x then y.
         count : int, optional
             Number of control points, at source points that are spread evenly; by default one for every four matches,
-            from 3 to 100.
+            from 3 to 100, and fewer if matches share a place.
         fractional : bool
             Whether the warp has a denominator.
 
         Returns
         -------
         Warp or None
-            None if the matches do not determine the warp: there are too few of them (four, or three without a
-            denominator), or they are on a line.
+            None if the matches do not determine the warp: they are on a line, or there are too few of them. `count`
+            control points need (3 count - 1) / 2 matches, or `count` without a denominator, at as many places.
 
         Raises
         ------
@@ -149,17 +149,21 @@ class Warp(FittedModel):
         >>> mx.Warp.from_estimate(square[:3], 2 * square[:3]) is None
         True
         """
+        wanted = None if count is None else check.count(count, "count", _FEWEST)
+        make = fractional_design if check.flag(fractional, "fractional") else linear_design
+        if not len(check.queries(source, "source")) and not len(check.queries(target, "target")):
+            return None
         points, values = check.points(source, "source").copy(), check.points(target, "target").copy()
         check.as_many(values, points)
         check_extent(values, "target")
-        usual = min(max(len(points) // _SHARE, _FEWEST), _MOST)
-        most = usual if count is None else check.count(count, "count", _FEWEST)
-        make = fractional_design if check.flag(fractional, "fractional") else linear_design
         try:
             domain = Region(hull(points, "source"))
         except ValueError:  # fewer than three places, or on a line
             return None
-        basis = CardinalBasis(ThinPlateSpline(points[farthest_order(points, most)]))
+        order = farthest_order(points, wanted or min(max(len(points) // _SHARE, _FEWEST), _MOST))
+        if wanted is not None and len(order) < wanted:
+            return None
+        basis = CardinalBasis(ThinPlateSpline(points[order]))
         design: Design[Self] = make(basis, points, values, domain, cls)
         fit = design.fit()
         return design.model(fit.coefficients) if fit.rank == design.A.shape[1] else None
@@ -436,6 +440,11 @@ class Warp(FittedModel):
             where the warp vanishes; `cv2.remap` puts its border value there. The type is float32, or float64 if the
             image of the domain is so far from zero that float32 has steps of more than a tenth of a pixel.
 
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is none of these, or the image has more than 10^10 pixels.
+
         Notes
         -----
         Positions are interpolated bicubically in blocks of up to 128 x 128 pixels, from exact values. The interpolation
@@ -451,7 +460,7 @@ class Warp(FittedModel):
                [7., 8., 9.]], dtype=float32)
         """
         known = check_outside(outside)
-        width, height = check.count(width, "width", 1), check.count(height, "height", 1)
+        width, height = check_pixels(width, height)
         share = check.number(tolerance, "tolerance", "It must be a number of at least 0.", 0.0)
         dtype = _sufficient(self._map(self._samples), self._pixel)
         positions = dense(self._image, width, height, share * self._pixel, self.control_points, dtype)
@@ -481,6 +490,11 @@ class Warp(FittedModel):
             Source x, then source y: `cv2.remap(source_image, *warp.inverse_map(width, height), cv2.INTER_LINEAR)`. NaN
             where nothing is mapped to. The type is as for `dense_map`.
 
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is none of these, or the image has more than 10^10 pixels.
+
         Examples
         --------
         >>> import mexpress as mx
@@ -491,7 +505,7 @@ class Warp(FittedModel):
                [-7., -6., -5.]], dtype=float32)
         """
         known = check_outside(outside)
-        width, height = check.count(width, "width", 1), check.count(height, "height", 1)
+        width, height = check_pixels(width, height)
         share = check.number(tolerance, "tolerance", "It must be a number of at least 0.", 0.0)
         if not self._pixel > 0:  # nothing has an inverse
             return np.full((2, height, width), np.nan, dtype=np.float32)
@@ -577,6 +591,11 @@ class Warp(FittedModel):
         ndarray, (height, width, 2)
             Vectors in pixels, x then y: a field of ITK as `sitk.GetImageFromArray(field, isVector=True)` takes it, for
             images without spacing, origin and direction. NaN where there is no position.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is none of these, or the image has more than 10^10 pixels.
 
         See Also
         --------

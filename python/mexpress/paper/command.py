@@ -10,6 +10,7 @@ from mexpress.cli import common
 from mexpress.cli import report as reports
 from mexpress.paper import EXPERIMENTS, Experiment, Options, Outcome
 from mexpress.plotting.figures import new_figure
+from mexpress.versions import versions
 
 
 def add_reproduce(commands: argparse._SubParsersAction[common.Parser]) -> None:
@@ -55,7 +56,7 @@ def _run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     outcome = experiment.run(options)
     name = f"{experiment.name}.json"
     command = {"experiment": experiment.name, **_command(options)}
-    summary = {"versions": reports.versions(), "command": command, **outcome.summary}
+    summary = {"versions": versions(), "command": command, **outcome.summary}
     reports.write_summary(options.out / name, summary)
     try:
         if not arguments.json:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
 
 _DISPLAYED = 1000
 """Pixels along the longer side of a displayed image."""
+
+_AROUND = 0.05
+"""Half the side of the square in which an image's light is taken to be even, as a share of its longer side."""
+
+_EVEN = 0.3
+"""Contrast that is added to that of each square, as a share of the whole image's: noise is not to look like edges."""
 
 Extent = tuple[float, float, float, float]
 
@@ -92,11 +98,35 @@ def gray_behind(image: Floats) -> Floats:
 
 
 def blended(first: Floats, second: Floats) -> Floats:
-    """Return source in magenta over target in green, of equal mean and contrast where both are known."""
+    """Return source in magenta over target in green, of equal mean and contrast around each pixel where both are known.
+
+    So edges that differ are seen, but not light that differs, such as a shadow on one of them.
+    """
     gray, other = (image if image.ndim == 2 else image.mean(axis=2) for image in (first, second))
     known = ~np.isnan(other)
     if known.any():
-        spread = float(other[known].std()) or 1.0
-        other = (other - other[known].mean()) / spread * float(gray[known].std()) + gray[known].mean()
+        (mean, contrast), (others, others_contrast) = (_around(image, known) for image in (gray, other))
+        other = (other - others) * (contrast / others_contrast) + mean
     other = np.clip(np.where(known, other, gray), 0, 1)
     return np.where(known[..., None], np.stack([gray, other, gray], axis=-1), 0.5 + 0.5 * gray[..., None])
+
+
+def _around(image: Floats, known: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return mean and contrast of the known pixels in a square around each pixel; nowhere is the contrast near zero."""
+    radius = max(1, round(_AROUND * max(image.shape)))
+    centre, spread = image[known].mean(), float(image[known].std()) or 1.0
+    values = np.where(known, (image - centre) / spread, 0.0)
+    number = np.maximum(_sums(known.astype(np.float64), radius), 1.0)
+    mean = _sums(values, radius) / number
+    contrast = np.sqrt(np.maximum(_sums(values**2, radius) / number - mean**2, 0.0))
+    return centre + spread * mean, spread * (contrast + _EVEN)
+
+
+def _sums(image: Floats, radius: int) -> Floats:
+    """Return the sums over the square around each pixel, as far as it is in the image."""
+    for axis, size in enumerate(image.shape):
+        sums = np.insert(np.cumsum(image, axis=axis), 0, 0.0, axis=axis)
+        at = np.arange(size)
+        ends = np.minimum(at + radius + 1, size), np.maximum(at - radius, 0)
+        image = np.subtract(*(sums.take(end, axis=axis) for end in ends))
+    return image

@@ -159,7 +159,7 @@ def _at_some(every: int) -> str:
 
 def _draw_sizes(axes: Axes, places: Floats, errors: Floats, size: float) -> None:
     """Draw matches in the colours of their errors, large errors on top."""
-    order = np.argsort(np.nan_to_num(errors, nan=np.inf), kind="stable")
+    order = np.argsort(np.nan_to_num(errors, nan=np.inf, posinf=np.inf), kind="stable")
     places, errors = places[order], errors[order]
     look: dict[str, Any] = {"cmap": "plasma_r", "vmin": 0, "vmax": percentile(errors, 98) or 1.0}
     look |= {"s": size, "edgecolors": "black", "linewidths": 0.2, "zorder": 3}
@@ -181,7 +181,8 @@ def plot_registration(
     """Plot how well a warp registers two images, in the frame of the source image.
 
     Three panels: the source image, faded behind the matches; the target image pulled into its frame;
-    both laid over each other, source in magenta and target in green, so that what is registered is gray.
+    both laid over each other, source in magenta and target in green, so that what is registered is gray:
+    the target has the light of the source around each pixel.
     Where the warp folds or vanishes is painted over; a dashed line encloses the matches, outside of which the
     warp extrapolates. Control points are shown if they are few.
 

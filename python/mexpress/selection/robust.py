@@ -371,7 +371,7 @@ def _scores(
     if not kept.all():
         away = (selection._model(data.points[~kept]) - data.values[~kept]).reshape(n - len(some), -1)
         # NaN is beyond the horizon of a warp.
-        errors[~kept] = np.nan_to_num(lengths_of(away) / np.sqrt(away.shape[1]), nan=np.inf)
+        errors[~kept] = np.nan_to_num(lengths_of(away) / np.sqrt(away.shape[1]), nan=np.inf, posinf=np.inf)
     known = kept & np.isfinite(errors)
     per_row = int(freedom[0])
     noise = float(np.median(errors[known])) / _noise(0.5, per_row) if known.any() else 0.0
@@ -397,7 +397,7 @@ def _against_expectation(
     lenient = scores.copy()
     # At an expectation of zero, of a model without noise, nothing is more lenient.
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.nan_to_num(away / selection._model.error(points), nan=np.inf)
+        relative = np.nan_to_num(away / selection._model.error(points), nan=np.inf, posinf=np.inf)
     lenient[doubted] = np.minimum(scores[doubted], threshold / _EXPECTED * relative)
     return lenient
 

@@ -152,8 +152,9 @@ class Selection:
             x, names = self.counts.tolist(), [str(count) for count in self.counts]
         if len(y) < 2 or np.isnan(y).all():
             return ""
-        name = self.criterion + ("" if self.rival is None else f", but for the {self.rival}")
-        return notebook.curve(name, x, y.tolist(), chosen, [names[0], names[chosen], names[-1]], axis)
+        marks = [names[0], names[chosen], names[-1]]
+        rival = None if self.rival is None else (self.rival, self.score)
+        return notebook.curve(self.criterion, x, y.tolist(), chosen, marks, axis, rival)
 
     def showing(self, names: Container[str]) -> Self:
         """Return the selection with some of its criteria."""

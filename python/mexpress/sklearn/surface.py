@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -13,8 +15,9 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from mexpress import _validation as check
 from mexpress._validation import Floats
 from mexpress.models import Surface
+from mexpress.models.expectation import NAN
 from mexpress.selection import select_surface
-from mexpress.sklearn.linear import LinearRegression
+from mexpress.sklearn.covariates import PartialSpline
 from mexpress.sklearn.regression import checked_weights
 
 if TYPE_CHECKING:
@@ -27,7 +30,12 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
     `fit` is `mexpress.select_surface`: what is selected there needs no search over this estimator's parameters.
 
     The first two features are positions, x and y. Others, such as the altitude of a thermometer, are covariates: they
-    enter linearly, with the coefficients of a regression on all features, and the surface describes what is left.
+    enter linearly, and the surface describes what they leave. Their coefficients are the least squares of what the
+    surface's smoothing leaves of the values on what it leaves of the covariates: a partial spline, in geostatistics
+    external drift. So a covariate that goes with position is told from the surface by its rough part. The smaller that
+    is, the less certain is the coefficient, and hardly the prediction, since the surface makes up for it. A covariate
+    that is a function of position as smooth as the surface, of which less than 1 % is left of what is left of noise,
+    has the coefficient 0, and the surface has all of its effect. With covariates, four to six surfaces are selected.
 
     Data at one position are merged: their mean, with the sum of their weights. So a weight of two is the same as a
     datum given twice.
@@ -44,7 +52,7 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
     Attributes
     ----------
     selection_ : SurfaceSelection
-        The selection: scores, notes, suspects.
+        The selection, for the values without what the covariates add: scores, notes, suspects.
     surface_ : Surface
         The selected surface.
     coef_ : (c,) or (r, c) array
@@ -120,9 +128,9 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
         weights = np.ones(len(features)) if given is None else given
         some = weights > 0
         features, values, weights = features[some], values[some].astype(np.float64), weights[some]
-        self.coef_ = LinearRegression().fit(features, values, weights).coef_[..., 2:]
-        points, means, totals = _merged(features[:, :2], values - self._of_covariates(features), weights)
-        self.selection_ = select_surface(points, means, weights=totals, **self.get_params())
+        select = partial(select_surface, **self.get_params())
+        spline = PartialSpline(features[:, :2], values, features[:, 2:], weights, select)
+        self.coef_, self.selection_ = spline.fit()
         self.surface_ = self.selection_.surface
         self._surfaces = _values_of(self.surface_)
         return self
@@ -146,7 +154,7 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
         features = validate_data(self, X, reset=False, dtype=np.float64)
         points = features[:, :2]
         mean = self.surface_(points) + self._of_covariates(features)
-        if not return_std:
+        if not check.flag(return_std, "return_std"):
             return mean
         errors = [surface.error(points) for surface in self._surfaces]
         return mean, np.column_stack(errors).reshape(mean.shape)
@@ -156,7 +164,14 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
         region: ArrayLike | None = None,
         shape: tuple[int, int] | None = None,
         spacing: float | None = None,
-        **options: Any,
+        like: Any = None,
+        *,
+        names: str | Sequence[str] | None = None,
+        dims: tuple[str, str] | None = None,
+        units: str | None = None,
+        xy_units: str | None = None,
+        error: bool = True,
+        outside: str = NAN,
     ) -> xr.Dataset:
         """Predict on a grid, as verde's gridders do: `mexpress.Surface.to_xarray` (extra ``xarray``).
 
@@ -168,8 +183,13 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
             Numbers of rows and columns.
         spacing : float, optional
             Distance of neighbouring samples.
-        **options
-            As for `mexpress.Surface.to_xarray`: names, dims, units, like, outside.
+        like, names, dims, units, xy_units, error, outside
+            As for `mexpress.Surface.to_xarray`.
+
+        Returns
+        -------
+        xarray.Dataset
+            See `mexpress.Surface.to_xarray`.
 
         Raises
         ------
@@ -180,22 +200,22 @@ class SurfaceRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type
         if self.n_features_in_ > 2:
             rule = "It must be fitted to positions alone for a grid; predict takes positions with their covariates."
             check.refuse("surface", rule, f"{self.n_features_in_} features")
-        return self.surface_.to_xarray(region, spacing, shape, **options)
+        return self.surface_.to_xarray(
+            region,
+            spacing,
+            shape,
+            like,
+            names=names,
+            dims=dims,
+            units=units,
+            xy_units=xy_units,
+            error=error,
+            outside=outside,
+        )
 
     def _of_covariates(self, features: Floats) -> Floats:
         """What the covariates add, (n,) or (n, r)."""
         return np.asarray(features[:, 2:] @ self.coef_.T)
-
-
-def _merged(points: Floats, values: Floats, weights: Floats) -> tuple[Floats, Floats, Floats | None]:
-    """Positions that differ, the weighted mean of the values at each, and the sum of the weights; None if all are 1."""
-    places, which = np.unique(points, axis=0, return_inverse=True)
-    if len(places) == len(points):
-        return points, values, None if (weights == 1).all() else weights
-    totals = np.bincount(which, weights).astype(np.float64)
-    columns = values.reshape(len(values), -1)
-    means = np.column_stack([np.bincount(which, weights * column) / totals for column in columns.T])
-    return places, means.reshape(len(places), *values.shape[1:]), totals
 
 
 def _values_of(surface: Surface) -> list[Surface]:
