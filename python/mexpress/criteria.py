@@ -42,7 +42,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, hull, lattice
 from mexpress.geometry import diagonal as _diagonal
-from mexpress.index_sets import IndexSets, compress, singletons
+from mexpress.index_sets import IndexSets, compress
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.leastsquares.nested import Nested, NestedCurve
 from mexpress.schemes import LazyNeighbourhoods, Places, Scheme
@@ -510,19 +510,17 @@ class Scorer:
         >>> [round(score.value, 3) + 0.0 for score in curves["CMPRESS"]]
         [2.449, 0.0]
         """
-        every: dict[str, Scheme | LazyNeighbourhoods] = {**self.schemes, **self.neighbourhoods}
+        every: dict[str, Scheme] = {**self.schemes, **self.neighbourhoods}
         for scheme in every.values():
             if scheme.n_data != nested.n_data:
                 rule = f"It must be over the criteria's {scheme.n_data} data."
                 check.refuse("nested", rule, f"{nested.n_data} data")
         fits = nested.fits(sizes, threads)
         curves = nested.curves(every, sizes, threads, on_step)
-        alone = singletons(nested.n_data)
         scores = {}
         for name, criterion in self.criteria.items():
             if name in curves:
-                validated = self.schemes[name].validated if name in self.schemes else alone
-                scores[name] = _scored(curves[name], validated)
+                scores[name] = _scored(curves[name], every[name].validated)
             elif criterion is not None and criterion.family in FORMULAS:
                 formula = FORMULAS[criterion.family]
                 each = zip(fits.rms, fits.parameters, strict=True)

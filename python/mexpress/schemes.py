@@ -53,6 +53,9 @@ def __dir__() -> list[str]:
 # A list of more indices than this is probably a mistake.
 MOST_INDICES = 100_000_000
 
+_MOST_LISTED = 10_000_000
+"""Members of neighbourhoods above which these are found when needed: a list takes as long to make as to use."""
+
 _CELLS = 65_534
 """Cells along the largest extent of data, which are put in order by them; 65,536 at most."""
 
@@ -120,8 +123,8 @@ class Scheme:
         return scheme
 
     @property
-    def sets(self) -> tuple[CoreSets, CoreSets]:
-        """Arguments for the core: what is held out, and what is validated."""
+    def sets(self) -> tuple[CoreSets, CoreSets] | _core.LazyNeighbourhoods:
+        """Argument for the core: what is held out, and what is validated."""
         held = self.held_out.arrays
         return held, held if self.validated is self.held_out else self.validated.arrays
 
@@ -199,34 +202,64 @@ class Scheme:
         )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class LazyNeighbourhoods:
+class LazyNeighbourhoods(Scheme):
     """A scheme that validates each datum with its neighbourhood held out, without a list of the neighbourhoods.
 
-    They are found when they are needed: the lists for 300,000 pixels do not fit in memory.
+    They are found when they are needed: the lists of a million data with a thousand around each take 8 GB. They are
+    listed only if `held_out` is asked for.
 
     Parameters
     ----------
-    n_data : int
-        Number of data.
-    search : object of the core
-        Finds the neighbourhood of a datum.
-    order : (n_data,) int64 array
-        An order of the data in which successive data are near each other.
+    places : Places
+        Positions of the data.
+    how : str
+        The method of `Places` that lists the neighbourhoods, "within" or "nearest".
+    reach : float
+        Its argument, the radius or the number of data.
 
     Examples
     --------
     >>> import numpy as np
-    >>> Places(np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])).lazily_within(1.5)
+    >>> scheme = Places(np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])).lazily_within(1.5)
+    >>> scheme
     LazyNeighbourhoods(3 data, about 2 held out)
+    >>> scheme.held_out[0]
+    array([0, 1])
     """
 
-    n_data: int
-    search: _core.LazyNeighbourhoods
     order: Integers
+    places: Places
+    how: str
+    reach: float
+    search: _core.LazyNeighbourhoods
+
+    def __init__(self, places: Places, how: str, reach: float) -> None:
+        find = getattr(_core.LazyNeighbourhoods, how)
+        n, workers = len(places.points), check.threads(places.threads)
+        search = find(places.points, _checked_radius(reach) if how == "within" else reach, workers)
+        alone = singletons(n)
+        found = {"n_data": n, "validated": alone, "order": places.order, "search": search}
+        vars(self).update(found, places=places, how=how, reach=reach)
+
+    @cached_property
+    def held_out(self) -> IndexSets:
+        """The neighbourhoods as a list."""
+        listed: Scheme = getattr(self.places, self.how)(self.reach)
+        return listed.held_out
+
+    @property
+    def sets(self) -> _core.LazyNeighbourhoods:
+        """Argument for the core."""
+        return self.search
+
+    def __len__(self) -> int:
+        return self.n_data
 
     def __repr__(self) -> str:
         return f"LazyNeighbourhoods({self.n_data} data, about {self.search.mean:.0f} held out)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.places, self.how, self.reach)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -288,15 +321,18 @@ class Places:
 
     def lazily_within(self, radius: float) -> LazyNeighbourhoods:
         """Return the neighbourhoods of `exclusion_radius` without a list."""
-        reach, workers = _checked_radius(radius), check.threads(self.threads)
-        search = _core.LazyNeighbourhoods.within(self.points, reach, workers)
-        return LazyNeighbourhoods(len(self.points), search, self.order)
+        return LazyNeighbourhoods(self, "within", radius)
 
     def lazily_nearest(self, k: int) -> LazyNeighbourhoods:
         """Return the neighbourhoods of `nearest` without a list."""
-        k, workers = check.count(k, "k", 1, len(self.points)), check.threads(self.threads)
-        search = _core.LazyNeighbourhoods.nearest(self.points, k, workers)
-        return LazyNeighbourhoods(len(self.points), search, self.order)
+        return LazyNeighbourhoods(self, "nearest", check.count(k, "k", 1, len(self.points)))
+
+    def listed_if_few(self, lazy: LazyNeighbourhoods) -> Scheme:
+        """Return the neighbourhoods as a list, which several calls share, unless they are many."""
+        if lazy.search.mean * lazy.n_data > _MOST_LISTED:
+            return lazy
+        listed: Scheme = getattr(self, lazy.how)(lazy.reach)
+        return listed
 
     def _listed(self, search: Callable[[], tuple[Integers, Integers]]) -> Scheme:
         """Validate each datum with its neighbourhood held out."""
@@ -387,7 +423,8 @@ def exclusion_radius(points: ArrayLike, radius: float, threads: int | None = Non
     >>> list(scheme.held_out)
     [array([0, 1]), array([0, 1]), array([2])]
     """
-    return Places.of(points, threads).within(radius)
+    places = Places.of(points, threads)
+    return places.listed_if_few(places.lazily_within(radius))
 
 
 def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
@@ -408,7 +445,8 @@ def nearest(points: ArrayLike, k: int, threads: int | None = None) -> Scheme:
     >>> list(mx.schemes.nearest([[0, 0], [1, 0], [3, 0]], k=2).held_out)
     [array([0, 1]), array([0, 1]), array([1, 2])]
     """
-    return Places.of(points, threads).nearest(k)
+    places = Places.of(points, threads)
+    return places.listed_if_few(places.lazily_nearest(k))
 
 
 def matched(

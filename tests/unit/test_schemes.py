@@ -1,3 +1,4 @@
+import pickle
 import tracemalloc
 from fractions import Fraction
 from itertools import combinations
@@ -652,3 +653,40 @@ def test_a_buffer_of_leave_one_out_is_local_exclusion():
 def test_what_has_no_buffer(scheme, points, radius, name):
     with pytest.raises((ValueError, TypeError), match=f"^Invalid {name}\\."):
         s.buffered(scheme, points, radius)
+
+
+def test_neighbourhoods_that_are_many_are_found_when_they_are_needed(monkeypatch):
+    rng = np.random.default_rng(0)
+    points, model = (
+        rng.uniform(0, 1, (300, 2)),
+        mx.LeastSquares(rng.normal(size=(300, 4)), rng.normal(size=300)),
+    )
+    calls = {"within": lambda: s.exclusion_radius(points, 0.1), "nearest": lambda: s.nearest(points, 9)}
+    for call in calls.values():
+        listed = call()
+        expected = model.cross_validate(listed)
+        with monkeypatch.context() as patch:
+            patch.setattr(s, "_MOST_LISTED", 1000)
+            lazy = call()
+        assert isinstance(lazy, s.Scheme)
+        assert repr(lazy).startswith("LazyNeighbourhoods(300 data, about ")
+        assert len(lazy) == 300
+        found = model.cross_validate(lazy)
+        np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-12)
+        np.testing.assert_array_equal(found.pairs, expected.pairs)
+        assert "held_out" not in vars(lazy), "they were listed"
+        np.testing.assert_array_equal(lazy.held_out.indices, listed.held_out.indices)
+        again = pickle.loads(pickle.dumps(lazy))
+        np.testing.assert_array_equal(again.held_out.indices, listed.held_out.indices)
+        np.testing.assert_array_equal(model.cross_validate(again).residuals, found.residuals)
+        train, test = next(iter(lazy.split()))
+        np.testing.assert_array_equal(np.union1d(train, listed.held_out[0]), np.arange(300))
+        assert test.tolist() == [0]
+
+
+def test_a_million_data_with_a_thousand_around_each_are_no_list():
+    points = np.random.default_rng(0).uniform(0, 1, (1_000_000, 2))
+    scheme = s.exclusion_radius(points, np.sqrt(1e-3 / np.pi))
+    assert 900 < scheme.search.mean < 1100
+    with pytest.raises(ValueError, match=r"^Invalid points\. Their neighbourhoods must fit in memory"):
+        scheme.held_out  # noqa: B018 - asked for

@@ -81,7 +81,7 @@ class Nested:
 
     def curves(
         self,
-        schemes: Mapping[str, Scheme | LazyNeighbourhoods],
+        schemes: Mapping[str, Scheme],
         sizes: Integers,
         threads: int | None = None,
         on_step: Callable[[], None] | None = None,
@@ -91,8 +91,8 @@ class Nested:
         The core takes all listed schemes in one call, and all neighbourhoods in blocks; `on_step` is called after
         each call, `steps(n_data)` times in all.
         """
-        listed = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, Scheme)}
         lazy = {name: scheme for name, scheme in schemes.items() if isinstance(scheme, LazyNeighbourhoods)}
+        listed = {name: scheme for name, scheme in schemes.items() if name not in lazy}
         curves = self._listed(listed, self._coupling, sizes, threads)
         if on_step is not None:
             on_step()
