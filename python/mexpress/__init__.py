@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         CrossValidation,
         LeastSquares,
         RankLossWarning,
+        TallLeastSquares,
         cross_validate_batch,
         cross_validate_nested,
     )
@@ -53,6 +54,7 @@ __all__ = [
     "Selection",
     "Surface",
     "SurfaceSelection",
+    "TallLeastSquares",
     "Warp",
     "WarpSelection",
     "criteria",
@@ -82,6 +84,7 @@ _HOMES = {
         "CrossValidation",
         "LeastSquares",
         "RankLossWarning",
+        "TallLeastSquares",
         "cross_validate_batch",
         "cross_validate_nested",
     ],

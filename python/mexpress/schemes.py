@@ -236,7 +236,7 @@ class LazyNeighbourhoods(Scheme):
     def __init__(self, places: Places, how: str, reach: float) -> None:
         find = getattr(_core.LazyNeighbourhoods, how)
         n, workers = len(places.points), check.threads(places.threads)
-        search = find(places.points, _checked_radius(reach) if how == "within" else reach, workers)
+        search = find(places.points, checked_radius(reach) if how == "within" else reach, workers)
         alone = singletons(n)
         found = {"n_data": n, "validated": alone, "order": places.order, "search": search}
         vars(self).update(found, places=places, how=how, reach=reach)
@@ -286,7 +286,7 @@ class Places:
 
     def within(self, radius: float) -> Scheme:
         """List the neighbourhoods of `exclusion_radius`."""
-        reach, workers = _checked_radius(radius), check.threads(self.threads)
+        reach, workers = checked_radius(radius), check.threads(self.threads)
         return self._listed(lambda: _core.neighbours_within(self.points, reach, workers))
 
     def nearest(self, k: int) -> Scheme:
@@ -345,7 +345,7 @@ class Places:
         return Scheme._of(n, neighbourhoods, singletons(n), self.order)
 
 
-def _checked_radius(radius: float) -> float:
+def checked_radius(radius: float) -> float:
     return (1 + _ROUNDING) * check.number(radius, "radius", "It must be a number of at least 0.", 0.0)
 
 

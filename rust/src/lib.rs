@@ -32,6 +32,7 @@
 //! | `fit::cholesky_qr`, `fit::panels` | the basis of a well-conditioned design, by products of matrices |
 //! | `fit::householder` | the basis of any design, by blocked reflections |
 //! | `fit::rank` | rank, and coefficients from the triangle |
+//! | [`fit::triangles`] | what a fit needs to know of rows that do not fit in memory |
 //! | [`fit::bending`] | the splines that bend least, and rows of bending energies |
 //! | [`fit::penalty_path`] | one penalised design at every weight of its penalty |
 //! | [`fit::linalg`] | dense factorisations; the only file that names faer |

@@ -44,6 +44,7 @@ COVERED = {
     "Selection",  # a result
     "Surface",
     "SurfaceSelection",  # a result
+    "TallLeastSquares",  # a result
     "Warp",
     "WarpSelection",  # a result
     "criteria",  # test_criteria.py

@@ -14,7 +14,7 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.index_sets import IndexSets
-from mexpress.leastsquares.model import CrossValidation, RankLossWarning
+from mexpress.leastsquares.cross_validation import CrossValidation, RankLossWarning
 from mexpress.leastsquares.problems import Kind, Problems, Schemes, kinds_of
 from mexpress.schemes import Scheme
 

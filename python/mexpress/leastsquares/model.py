@@ -15,66 +15,19 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.index_sets import IndexSets, checked, compress, singletons
+from mexpress.leastsquares.cross_validation import (
+    CrossValidation,
+    RankLossWarning,
+    expect_scheme_of,
+    warn_of_loss,
+    warn_of_rank_loss,
+)
 from mexpress.leastsquares.problem import Problem
-from mexpress.schemes import Scheme, expect_scheme, leave_one_out
+from mexpress.leastsquares.tall import TallLeastSquares
+from mexpress.schemes import Scheme, leave_one_out
 
 if TYPE_CHECKING:
     from mexpress.leastsquares.nested import Nested
-
-
-class RankLossWarning(UserWarning):
-    """Without some held-out set, the other rows no longer determine the model: predictions and score are NaN.
-
-    Examples
-    --------
-    Only the third row has an entry in the second column:
-
-    >>> import warnings
-    >>> import mexpress as mx
-    >>> model = mx.LeastSquares([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [1.0, 2.0, 6.0])
-    >>> with warnings.catch_warnings(record=True) as caught:
-    ...     warnings.simplefilter("always")
-    ...     model.held_out_residuals([2])
-    array([nan])
-    >>> caught[0].message
-    RankLossWarning('The other rows no longer determine the model.')
-    """
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CrossValidation:
-    """The prediction residuals of a scheme and their score.
-
-    Parameters
-    ----------
-    score : float
-        P, in the responses' unit: ``P^2 = sum w ||e||^2 / sum w`` over the validated data; NaN if a pair is undefined.
-    residuals : (k,) or (k, r) array
-        Prediction residuals of the validated rows, pair after pair, in the responses' unit; NaN where undefined.
-    rows : (k,) int64 array
-        The row of the design of each residual.
-    pairs : (k,) int64 array
-        The pair of the scheme of each residual.
-    undefined : int64 array
-        The pairs whose training rows lose rank; usually empty.
-
-    Examples
-    --------
-    >>> import mexpress as mx
-    >>> model = mx.LeastSquares([[1.0], [1.0], [1.0]], [1.0, 2.0, 6.0])
-    >>> model.cross_validate(mx.schemes.leave_one_out(3))
-    CrossValidation(score=3.24037, 3 residuals, 0 undefined pairs)
-    """
-
-    score: float
-    residuals: Floats
-    rows: Integers
-    pairs: Integers
-    undefined: Integers
-
-    def __repr__(self) -> str:
-        counts = f"{len(self.rows)} residuals, {len(self.undefined)} undefined pairs"
-        return f"CrossValidation(score={self.score:.7g}, {counts})"
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -176,6 +129,39 @@ class LeastSquares:
         )
         return cls(Q, b, coupling, weights, penalty, threads=threads)
 
+    @staticmethod
+    def from_blocks(
+        blocks: Any, coupling: int = 1, *, directory: Any = None, threads: int | None = None
+    ) -> TallLeastSquares:
+        """Fit rows that need not fit in memory: of memory-mapped arrays, or that come a block at a time.
+
+        All rows are read once, and reduced to a triangle by reflections (TSQR). Cross-validation reads them twice more:
+        see `TallLeastSquares`.
+
+        Parameters
+        ----------
+        blocks : tuple of arrays, or iterable of such tuples
+            ``(A, b)`` or ``(A, b, weights)``: (m, p), (m,) or (m, r), and one weight a datum, (n,). Arrays in
+            memory-mapped files (`numpy.load` with ``mmap_mode="r"``) stay there. What an iterable yields is kept in a
+            temporary file, as large as all its blocks.
+        coupling : int, default 1
+            The number of consecutive rows per datum.
+        directory : str or Path, optional
+            Where the temporary file is made.
+        threads : int, optional
+            Largest number of threads.
+
+        Examples
+        --------
+        >>> import mexpress as mx
+        >>> import numpy as np
+        >>> x = np.linspace(0, 1, 10_000)
+        >>> blocks = ((np.vander(part, 4), np.sin(6 * part)) for part in np.split(x, 10))
+        >>> mx.LeastSquares.from_blocks(blocks)
+        TallLeastSquares(10000 data, 10000 rows, 4 columns, rank 4, fit_rms=0.05899825)
+        """
+        return TallLeastSquares.of(blocks, coupling, directory, threads)
+
     def _keep(self, problem: Problem, factor: _core.Factor) -> None:
         vars(self).update(
             rank=factor.rank,
@@ -252,7 +238,7 @@ class LeastSquares:
         3.24037
         """
         found = leave_row_out(self, None)
-        _warn(found.undefined, len(found.rows), "rows", "the first is row")
+        warn_of_loss(found.undefined, len(found.rows), "rows", "the first is row")
         return found.score
 
     def held_out_residuals(self, rows: ArrayLike) -> Floats:
@@ -336,7 +322,7 @@ class LeastSquares:
         >>> [float(c[0, 0].round(6)) for c in model.prediction_spread(mx.schemes.leave_one_out(3))]
         [1.5, 1.5, 1.5]
         """
-        _expect_scheme(self, scheme)
+        expect_scheme_of(self.n_data, scheme)
         validated, rows = scheme.validated, self._coupling
         workers = check.threads(threads)
         flat = self._factor.spread((scheme.sets, None), rows.arrays, workers)
@@ -368,10 +354,9 @@ class LeastSquares:
         >>> model.cross_validate(near).score > model.fit_rms
         True
         """
-        _expect_scheme(self, scheme)
+        expect_scheme_of(self.n_data, scheme)
         result = self._predict([scheme], self._coupling, threads)[0]
-        where = "the attribute 'undefined' of the result lists them, the first is"
-        _warn(result.undefined, len(scheme), "pairs", where)
+        warn_of_rank_loss(result, len(scheme))
         return result
 
     def _predict(
@@ -409,17 +394,9 @@ def cross_validate_all(
 ) -> dict[str, CrossValidation]:
     """Cross-validate all schemes in one call, so that the core shares work between them."""
     for scheme in schemes.values():
-        _expect_scheme(model, scheme)
+        expect_scheme_of(model.n_data, scheme)
     found = model._predict(schemes.values(), model._coupling, threads)
     return dict(zip(schemes, found, strict=True))
-
-
-def _expect_scheme(model: LeastSquares, scheme: Any) -> None:
-    """Refuse a scheme that is not over the model's data."""
-    expect_scheme(scheme, f"leave_one_out({model.n_data})")
-    if scheme.n_data != model.n_data:
-        rule = f"It must be over the model's {model.n_data} data."
-        check.refuse("scheme", rule, f"a scheme over {scheme.n_data} data")
 
 
 def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
@@ -431,11 +408,3 @@ def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
 def _read_only(array: Floats) -> Floats:
     array.flags.writeable = False
     return array
-
-
-def _warn(lost: Integers, total: int, what: str, where: str) -> None:
-    if len(lost):
-        text = (
-            f"{len(lost)} of {total} {what} lose rank when held out, so there is no score: {where} {lost[0]}."
-        )
-        warnings.warn(RankLossWarning(text), stacklevel=3)

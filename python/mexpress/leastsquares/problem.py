@@ -80,8 +80,13 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets) -> tuple[Floats | None, i
     """
     if weights is None:
         return None, 0
+    row_weights, exponent = scaled_weights(expect_weights(weights, len(rows)), rows)
+    return row_weights, int(exponent)
+
+
+def expect_weights(weights: ArrayLike, n: int) -> Floats:
+    """Check weights of n data: positive, and not too far apart."""
     data_weights = check.real(weights, "weights")
-    n = len(rows)
     rule = f"It must be {n} positive numbers, one for each datum."
     if data_weights.shape != (n,):
         check.refuse("weights", rule, f"shape {data_weights.shape}")
@@ -91,8 +96,7 @@ def _weigh(weights: ArrayLike | None, rows: IndexSets) -> tuple[Floats | None, i
     if data_weights.min() < data_weights.max() / WEIGHT_RATIO:
         rule = f"The largest must not exceed {WEIGHT_RATIO:g} times the smallest."
         check.refuse("weights", rule, f"{data_weights.max():g} and {data_weights.min():g}")
-    row_weights, exponent = scaled_weights(data_weights, rows)
-    return row_weights, int(exponent)
+    return data_weights
 
 
 def scaled_weights(weights: Floats, rows: IndexSets) -> tuple[Floats, NDArray[np.intc]]:

@@ -12,4 +12,5 @@ pub mod penalty_path;
 pub(crate) mod rank;
 mod residuals;
 mod survey;
+pub mod triangles;
 mod turn;

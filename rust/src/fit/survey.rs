@@ -44,12 +44,14 @@ impl Survey {
             },
         )?;
         let entry = |j: usize| largest.iter().skip(j).step_by(columns).fold(0, |a, &b| a.max(b));
-        let scale = |j: usize| match f64::from_bits(entry(j) as u64) {
-            0.0 => 1.0,
-            largest => (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2(),
-        };
+        let scale = |j: usize| power_of_two(f64::from_bits(entry(j) as u64));
         Ok(Self { scales: (0..columns).map(scale).collect(), fingerprints })
     }
+}
+
+/// What brings a number near one, or leaves zero.
+pub(super) fn power_of_two(largest: f64) -> f64 {
+    if largest == 0.0 { 1.0 } else { (-largest.log2().ceil().clamp(-1000.0, 1000.0)).exp2() }
 }
 
 impl Problem<'_> {

@@ -178,7 +178,7 @@ fn filled<const N: usize, W>(
 /// ```
 pub struct LazyNeighbourhoods {
     index: Index,
-    /// Each point alone.
+    /// Each centre alone.
     pub singletons: Sets<'static>,
     /// About how many members a neighbourhood has.
     pub mean: f64,
@@ -239,8 +239,40 @@ impl LazyNeighbourhoods {
         Ok(lazy)
     }
 
-    /// Replaces `out` by the neighbourhood of point `i`, in no order.
-    pub fn members(&self, i: usize, out: &mut Vec<usize>) {
+    /// The neighbourhoods of some centres as a list, each sorted by index.
+    pub fn list(&self, centres: &[usize], pool: &Pool) -> Result<Sets<'static>, Error> {
+        let bound = self.singletons.len();
+        if let Some(&index) = centres.iter().find(|&&k| k >= bound) {
+            return Err(Error::Index { index, bound });
+        }
+        let mut lists = vec![Vec::new(); centres.len()];
+        let tasks = centres.chunks(LEAF).zip(lists.chunks_mut(LEAF));
+        pool.run(
+            tasks,
+            || (),
+            |(), (centres, lists)| {
+                for (&k, list) in centres.iter().zip(lists) {
+                    self.members(k, list);
+                    list.sort_unstable();
+                }
+            },
+        )?;
+        Ok(lists.into_iter().collect())
+    }
+
+    /// Those of some points alone, in the order of this list.
+    pub fn around(mut self, centres: &[usize]) -> Result<Self, Error> {
+        let bound = self.singletons.len();
+        if let Some(&index) = centres.iter().find(|&&i| i >= bound) {
+            return Err(Error::Index { index, bound });
+        }
+        self.singletons = ((0..=centres.len()).collect(), centres.to_vec()).into();
+        Ok(self)
+    }
+
+    /// Replaces `out` by the neighbourhood of centre `k`, in no order.
+    pub fn members(&self, k: usize, out: &mut Vec<usize>) {
+        let i = self.singletons.items[k];
         match &self.index {
             Index::Plane(balls) => balls.members(i, out),
             Index::Space(balls) => balls.members(i, out),
@@ -324,6 +356,26 @@ mod tests {
             order
         };
         (0..n).map(near).collect()
+    }
+
+    #[test]
+    fn some_neighbourhoods_are_those_of_all() {
+        let points: Vec<f64> = (0..80).map(|k| f64::from(k * k % 37)).collect();
+        let centres = [7, 0, 39, 7];
+        let all = [within(&points, 2, 5.0, &pool(1)).unwrap(), nearest(&points, 2, 4, &pool(1)).unwrap()];
+        let lazy = [
+            LazyNeighbourhoods::within(&points, 2, 5.0, &pool(1)).unwrap(),
+            LazyNeighbourhoods::nearest(&points, 2, 4, &pool(1)).unwrap(),
+        ];
+        for (all, lazy) in all.into_iter().zip(lazy) {
+            let expected: Sets = centres.iter().map(|&i| all.get(i).to_vec()).collect();
+            assert_eq!(lazy.list(&centres, &pool(2)).unwrap(), expected);
+            assert_eq!(lazy.list(&[40], &pool(1)), Err(Error::Index { index: 40, bound: 40 }));
+            let some = lazy.around(&centres).unwrap();
+            assert_eq!(some.singletons.items[..], centres);
+            assert_eq!(some.list(&[0, 1, 2, 3], &pool(1)).unwrap(), expected);
+            assert!(some.around(&[4]).is_err());
+        }
     }
 
     /// Random, gridded, or nearly all equal, in any supported dimension, at any magnitude.

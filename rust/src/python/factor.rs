@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
 use super::arrays::{Array1, Array2, ReadSets, indices, matrix, table};
@@ -10,7 +10,7 @@ use super::interrupt::interruptible;
 use super::problem::KeptArrays;
 use super::scheme::{Listing, ReadScheme};
 use crate::error::Error;
-use crate::fit::factor;
+use crate::fit::{self, factor};
 use crate::holdout::residuals::{Predictions, Status};
 use crate::holdout::scheme::Scheme;
 use crate::sets::Sets;
@@ -143,6 +143,22 @@ impl Factor {
         let blocks = interruptible(py, cost, threads, |pool| self.fit.hat_blocks(&rows, pool))?;
         Ok(PyArray1::from_vec(py, blocks))
     }
+}
+
+/// The triangles of successive cells of a matrix, (cells, columns, columns).
+#[pyfunction]
+pub(super) fn triangles<'py>(
+    py: Python<'py>,
+    rows: PyReadonlyArray2<'py, f64>,
+    cell: usize,
+    threads: usize,
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let columns = rows.shape()[1];
+    let rows = matrix(&rows)?;
+    let cost = 2.0 * (rows.len() * columns) as f64;
+    let found =
+        interruptible(py, cost, threads, |pool| fit::triangles::triangles(rows, columns, cell, pool))?;
+    PyArray1::from_vec(py, found).reshape([rows.len().div_ceil(cell * columns), columns, columns])
 }
 
 impl Factor {

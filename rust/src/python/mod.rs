@@ -32,7 +32,7 @@ mod _core {
     #[pymodule_export]
     use super::evaluate::{LocalFunctions, preimages_of, spline_slopes, spline_values};
     #[pymodule_export]
-    use super::factor::Factor;
+    use super::factor::{Factor, triangles};
     #[pymodule_export]
     use super::near::{
         LazyNeighbourhoods, hilbert_order, neighbours_delaunay, neighbours_matched, neighbours_nearest,

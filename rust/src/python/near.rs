@@ -1,9 +1,9 @@
 //! Which data are near which.
 
-use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Array1, Arrays, arrays, indices, matrix};
+use super::arrays::{Array1, Arrays, arrays, indices, matrix, slice};
 use super::interrupt::interruptible;
 use crate::near::{delaunay, distance_matching, hilbert, neighbours};
 
@@ -39,6 +39,34 @@ impl LazyNeighbourhoods {
             neighbours::LazyNeighbourhoods::nearest(points, dimension, k, pool)
         })?;
         Ok(Self(found))
+    }
+
+    /// Neighbourhoods of some of the points within a radius of all of them.
+    #[staticmethod]
+    fn within_around(
+        py: Python<'_>,
+        points: PyReadonlyArray2<'_, f64>,
+        centres: PyReadonlyArray1<'_, usize>,
+        radius: f64,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let (dimension, points, centres) = (points.shape()[1], matrix(&points)?, slice(&centres)?);
+        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+            neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)?.around(centres)
+        })?;
+        Ok(Self(found))
+    }
+
+    /// The neighbourhoods of some of the points, as (offsets, items).
+    fn listed<'py>(
+        &self,
+        py: Python<'py>,
+        centres: PyReadonlyArray1<'py, usize>,
+        threads: usize,
+    ) -> PyResult<Arrays<'py>> {
+        let centres = slice(&centres)?;
+        let found = interruptible(py, f64::INFINITY, threads, |pool| self.0.list(centres, pool))?;
+        Ok(arrays(py, found))
     }
 
     #[getter]

@@ -1,0 +1,166 @@
+"""Pairs in parts whose held-out data are near each other, so that few rows are read for a part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mexpress import _core
+from mexpress._validation import Floats, Integers
+from mexpress.caching import cached_property
+from mexpress.index_sets import IndexSets
+from mexpress.leastsquares.cells import Cells
+from mexpress.schemes import LazyNeighbourhoods, Scheme, checked_radius
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some pairs of a scheme, and the data that are read for them.
+
+    Parameters
+    ----------
+    pairs : (k,) int64 array
+        The pairs.
+    cells : (c,) int64 array
+        Cells that have all data that the pairs hold out.
+    data : (d,) int64 array
+        The data of these cells, increasing.
+    held : object
+        What each pair holds out and validates, as the core takes it, over these data.
+    """
+
+    pairs: Integers
+    cells: Integers
+    data: Integers
+    held: Any
+
+    def residuals(
+        self, block: Floats, rest: Floats, coupling: int, columns: int, threads: int
+    ) -> tuple[Floats, Integers]:
+        """Weighted prediction residuals of the validated rows, (t, r), and the pairs that lose rank.
+
+        Parameters
+        ----------
+        block : (k, p + r) array
+            Weighted rows ``[A, b]`` of the data.
+        rest : (q, p + r) array
+            The triangle of all other rows.
+        coupling, columns, threads : int
+            Rows of a datum, p, and the largest number of threads.
+        """
+        rows = np.concatenate([block, rest[rest.any(axis=1)]])
+        design, responses = (np.ascontiguousarray(each) for each in np.split(rows, [columns], axis=1))
+        ends = np.concatenate([np.arange(0, len(block), coupling), np.arange(len(block), len(rows) + 1)])
+        factor = _core.Factor((design, responses, None, np.zeros((0, columns))), threads)
+        order = np.arange(len(self.pairs)).view(np.uintp)
+        data = IndexSets(ends, np.arange(len(rows)))
+        ((_, residuals, _, _, undefined),) = factor.predict([(self.held, order)], data.arrays, threads)
+        return residuals, self.pairs[undefined]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """All pairs of a scheme in parts.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        What is held out.
+    cells : Cells
+        Data in the order of `data_order`.
+    together : int
+        Cells of a part, but for those that are near it.
+    threads : int
+        Largest number of threads.
+    """
+
+    scheme: Scheme
+    cells: Cells
+    together: int
+    threads: int
+
+    @cached_property
+    def pairs(self) -> list[Integers]:
+        """The pairs of each part."""
+        order = self.scheme.visiting_order
+        if isinstance(self.scheme, LazyNeighbourhoods):
+            size = self.together * self.cells.size
+            return [order[first : first + size] for first in range(0, len(order), size)]
+        held = self.scheme.held_out
+        order = order[held.sizes[order] > 0]
+        group = self.cells.of_data[held.indices[held.offsets[order]]] // self.together
+        return np.split(order, np.flatnonzero(np.diff(group)) + 1) if len(order) else []
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __getitem__(self, k: int) -> Part:
+        scheme, pairs = self.scheme, self.pairs[k]
+        if isinstance(scheme, LazyNeighbourhoods):
+            return self._within(scheme, pairs) if scheme.how == "within" else self._nearest(scheme, pairs)
+        out = _some(scheme.held_out, pairs)
+        validated = out if scheme.validated is scheme.held_out else _some(scheme.validated, pairs)
+        return self._listed(pairs, out, validated)
+
+    def _within(self, scheme: LazyNeighbourhoods, own: Integers) -> Part:
+        points, reach = scheme.places.points, checked_radius(scheme.reach)
+        near = _near(points[own], reach, self._corners)
+        data = self.cells.data(near)
+        centres = np.searchsorted(data, own).view(np.uintp)
+        search = _core.LazyNeighbourhoods.within_around(points[data], centres, reach, self.threads)
+        return Part(own, near, data, search)
+
+    def _nearest(self, scheme: LazyNeighbourhoods, own: Integers) -> Part:
+        out = IndexSets(*scheme.search.listed(own.view(np.uintp), self.threads))
+        return self._listed(own, out, IndexSets(np.arange(len(own) + 1), own))
+
+    def _listed(self, pairs: Integers, out: IndexSets, validated: IndexSets) -> Part:
+        near = np.unique(self.cells.of_data[out.indices])
+        data = self.cells.data(near)
+        sets = (
+            IndexSets(some.offsets, np.searchsorted(data, some.indices)).arrays for some in (out, validated)
+        )
+        return Part(pairs, near, data, tuple(sets))
+
+    @cached_property
+    def _corners(self) -> tuple[Floats, Floats]:
+        """Lowest and highest coordinates in each cell, (cells, d)."""
+        assert isinstance(self.scheme, LazyNeighbourhoods)
+        points, firsts = (
+            self.scheme.places.points[self.cells.order],
+            np.arange(0, len(self.cells.order), self.cells.size),
+        )
+        return np.minimum.reduceat(points, firsts), np.maximum.reduceat(points, firsts)
+
+
+def data_order(scheme: Scheme) -> Integers:
+    """An order of the data in which those of a pair are near each other, (n,): that in which pairs hold them out."""
+    if isinstance(scheme, LazyNeighbourhoods):
+        return scheme.order
+    held = _some(scheme.held_out, scheme.visiting_order).indices
+    known, first = np.unique(held, return_index=True)
+    others = np.ones(scheme.n_data, dtype=np.bool_)
+    others[known] = False
+    return np.concatenate([known[np.argsort(first)], np.flatnonzero(others)])
+
+
+def _near(points: Floats, reach: float, corners: tuple[Floats, Floats]) -> Integers:
+    """Cells that may have a point within a distance of some points."""
+    low, high = corners
+    beyond = 1 + 1e-9
+    return np.flatnonzero(
+        ((high >= points.min(axis=0) - beyond * reach) & (low <= points.max(axis=0) + beyond * reach)).all(
+            axis=1
+        )
+    )
+
+
+def _some(sets: IndexSets, pairs: Integers) -> IndexSets:
+    """Some of the sets."""
+    sizes = sets.sizes[pairs]
+    ends = np.concatenate([[0], np.cumsum(sizes)])
+    return IndexSets(
+        ends, sets.indices[np.repeat(sets.offsets[pairs] - ends[:-1], sizes) + np.arange(ends[-1])]
+    )

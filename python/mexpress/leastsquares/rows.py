@@ -1,0 +1,162 @@
+"""Rows of a problem that need not fit in memory: of memory-mapped arrays, or of blocks that are kept in a file."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mexpress import _validation as check
+from mexpress._validation import Floats, Integers
+from mexpress.leastsquares.problem import expect_weights
+
+_NUMBERS = 1 << 22
+"""Numbers that are read at once: 32 MiB."""
+
+_RULE = "It must be (A, b) or (A, b, weights), or yield such tuples: (m, p), (m,) or (m, r), and (n,) arrays."
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a design and of responses, and the weights of its data.
+
+    Parameters
+    ----------
+    A : (m, p) array
+        Design, as a rule in a file.
+    b : (m,) or (m, r) array
+        Responses.
+    weights : (n,) array or None
+        Weights of the data.
+    coupling : int
+        Rows of a datum.
+
+    Examples
+    --------
+    >>> Rows(np.ones((4, 1)), np.arange(4.0), np.array([1.0, 4.0]), 2).take(np.array([1, 2]))
+    array([[1., 1.],
+           [2., 4.]])
+    """
+
+    A: NDArray[Any]
+    b: NDArray[Any]
+    weights: Floats | None
+    coupling: int
+
+    @property
+    def columns(self) -> int:
+        """Number of columns of the design."""
+        return int(self.A.shape[1])
+
+    @property
+    def responses(self) -> int:
+        """Number of responses."""
+        return int(self.b[0].size)
+
+    @property
+    def n_data(self) -> int:
+        """Number of data."""
+        return len(self.A) // self.coupling
+
+    def of(self, data: Integers) -> Integers:
+        """Rows of some data."""
+        return (data[:, None] * self.coupling + np.arange(self.coupling)).ravel()
+
+    def roots(self, rows: Integers) -> Floats:
+        """Roots of the weights of some rows, (k, 1)."""
+        return (
+            np.ones((len(rows), 1))
+            if self.weights is None
+            else np.sqrt(self.weights[rows // self.coupling, None])
+        )
+
+    def take(self, rows: Integers) -> Floats:
+        """Return some weighted rows of ``[A, b]``, (k, p + r)."""
+        together = np.empty((len(rows), self.columns + self.responses))
+        together[:, : self.columns] = self.A[rows]
+        together[:, self.columns :] = self.b[rows].reshape(len(rows), self.responses)
+        return together if self.weights is None else together * self.roots(rows)
+
+    def blocks(self) -> Iterator[Integers]:
+        """Successive rows that are read at once."""
+        size = max(1, _NUMBERS // (self.columns + self.responses))
+        return (np.arange(first, min(first + size, len(self.A))) for first in range(0, len(self.A), size))
+
+
+def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats], None]) -> Rows:
+    """Read all rows once: those of arrays stay where they are, those of an iterable are written to a file.
+
+    Parameters
+    ----------
+    blocks : tuple of arrays, or iterable of such tuples
+        ``(A, b)`` or ``(A, b, weights)``.
+    coupling : int
+        Rows of a datum.
+    directory : str or Path, optional
+        Where the file is; where the system has temporary files by default. It has no name, and ends with the process.
+    each : callable
+        Called with weighted rows, (k, p + r).
+    """
+    g = check.count(coupling, "coupling", 1)
+    if isinstance(blocks, tuple):
+        rows = _checked(blocks, g)
+        for some in rows.blocks():
+            each(_bounded(rows.take(some), rows.columns))
+        return rows
+    if isinstance(blocks, str | bytes) or not isinstance(blocks, Iterable):
+        check.refuse("blocks", _RULE, check.describe(blocks), TypeError)
+    with tempfile.TemporaryFile(dir=directory) as file:  # its pages stay as long as they are mapped
+        first, weights = _written(blocks, g, file, each)
+        together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
+    b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
+    shares = expect_weights(np.concatenate(weights), len(b) // g) if weights else None
+    return Rows(together[:, : first.columns], b, shares, g)
+
+
+def _written(
+    blocks: Iterable[Any], g: int, file: BinaryIO, each: Callable[[Floats], None]
+) -> tuple[Rows, list[Floats]]:
+    """Write all blocks to a file, and return the first of them and all weights."""
+    weights: list[Floats] = []
+    first = None
+    for given in blocks:
+        rows = _checked(given, g)
+        first = first or rows
+        alike = rows.A.shape[1:] == first.A.shape[1:] and rows.b.shape[1:] == first.b.shape[1:]
+        if not alike or (rows.weights is None) != (first.weights is None):
+            rule = "All must be of as many columns and responses, with weights or without."
+            check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
+        plain = _bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
+        file.write(plain.data)
+        weights += [] if rows.weights is None else [rows.weights]
+        each(plain * rows.roots(np.arange(len(plain))))
+    if first is None:
+        check.refuse("blocks", _RULE, "none")
+    file.flush()
+    return first, weights
+
+
+def _checked(block: Any, g: int) -> Rows:
+    """Rows whose shapes fit."""
+    if not isinstance(block, tuple) or len(block) not in (2, 3):
+        check.refuse("blocks", _RULE, check.describe(block), TypeError)
+    A, b = (check.array(each, "blocks", _RULE, "biuf") for each in block[:2])
+    if A.ndim != 2 or b.ndim not in (1, 2) or len(A) != len(b) or not A.size or not b.size:
+        check.refuse("blocks", _RULE, f"shapes {A.shape} and {b.shape}")
+    if len(A) % g:
+        check.refuse("coupling", f"It must divide the {len(A)} rows of a block.", str(g))
+    if len(block) == 2 or block[2] is None:
+        return Rows(A, b, None, g)
+    return Rows(A, b, expect_weights(block[2], len(A) // g), g)
+
+
+def _bounded(rows: Floats, p: int) -> Floats:
+    """Rows ``[A, b]``, if they are finite, and responses within the limit."""
+    largest = np.abs(check.finite(rows, "blocks")[:, p:]).max()
+    if largest > check.LARGEST_RESPONSE:
+        check.refuse("blocks", f"Responses must not exceed {check.LARGEST_RESPONSE:g}.", f"{largest:g}")
+    return rows

@@ -1,0 +1,255 @@
+"""Fits of rows that are read a block at a time: the fit in memory is the oracle, itself tested against refits."""
+
+import subprocess
+import sys
+import textwrap
+import warnings
+
+import numpy as np
+import pytest
+
+import mexpress as mx
+from mexpress.leastsquares import tall
+
+s = mx.schemes
+RNG = np.random.default_rng(3)
+N, P = 900, 5
+POINTS = RNG.uniform(0, 1, (N, 2))
+SCHEMES = {
+    "each datum": s.leave_one_out(N),
+    "folds": s.k_fold(N, 6, seed=0),
+    "radius": s.exclusion_radius(POINTS, 0.08),
+    "lazy radius": s.Places.of(POINTS).lazily_within(0.08),
+    "lazy line": s.Places.of(POINTS[:, :1]).lazily_within(0.004),
+    "nearest": s.nearest(POINTS, 12),
+    "lazy nearest": s.Places.of(POINTS).lazily_nearest(12),
+    "few": s.from_sets([[3, 500, 899], [], [7], [40, 41]], [[500], [], [7], []], n=N),
+}
+
+
+@pytest.fixture(params=[1000, 1 << 22], ids=["many parts", "one part"])
+def _parts(request, monkeypatch):
+    monkeypatch.setattr(tall, "_PART", request.param)
+
+
+def make(coupling=1, responses=None, weighted=False):
+    """Return a problem."""
+    rng, m = np.random.default_rng(5), N * coupling
+    A = np.hstack([np.repeat(POINTS, coupling, axis=0), rng.normal(size=(m, P - 2))]) * 10.0 ** np.arange(P)
+    b = rng.normal(size=m if responses is None else (m, responses))
+    return A, b, rng.uniform(0.2, 3, N) if weighted else None
+
+
+def blocks_of(A, b, weights, coupling=1, data=130):
+    """Yield blocks of rows."""
+    for first in range(0, N, data):
+        rows, some = slice(first * coupling, (first + data) * coupling), slice(first, first + data)
+        yield (A[rows], b[rows]) if weights is None else (A[rows], b[rows], weights[some])
+
+
+@pytest.mark.usefixtures("_parts")
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(
+    ("coupling", "responses", "weighted"), [(1, None, False), (1, 3, True), (2, 2, True)]
+)
+def test_predictions_are_those_of_the_fit_in_memory(scheme, coupling, responses, weighted):
+    A, b, weights = make(coupling, responses, weighted)
+    expected = mx.LeastSquares(A, b, coupling, weights).cross_validate(SCHEMES[scheme])
+    for blocks in (blocks_of(A, b, weights, coupling), (A, b, weights)):
+        model = mx.LeastSquares.from_blocks(blocks, coupling)
+        found = model.cross_validate(SCHEMES[scheme])
+        np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-10, atol=1e-11)
+        np.testing.assert_allclose(found.score, expected.score, rtol=1e-12)
+        for name in ("rows", "pairs", "undefined"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize(("coupling", "responses", "weighted"), [(1, None, False), (3, 2, True)])
+def test_the_fit_is_that_in_memory(coupling, responses, weighted):
+    A, b, weights = make(coupling, responses, weighted)
+    expected = mx.LeastSquares(A, b, coupling, weights)
+    model = mx.LeastSquares.from_blocks(blocks_of(A, b, weights, coupling), coupling)
+    for name in ("coefficients", "residuals", "leverage", "fit_rms", "press"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-10, atol=1e-13)
+    assert (model.rank, model.n_data) == (P, N)
+    assert repr(model).startswith(
+        f"TallLeastSquares({N} data, {N * coupling} rows, {P} columns, rank {P}, fit_rms="
+    )
+
+
+@pytest.mark.usefixtures("_parts")
+def test_columns_that_few_rows_see_are_undefined_without_these():
+    """Bumps of which some are seen by a few data near each other: their pairs lose rank, and others nearly do."""
+    centres = np.random.default_rng(0).uniform(0, 1, (40, 2))
+    A = np.exp(-np.square((POINTS[:, None] - centres) / 0.04).sum(axis=2))
+    A[A < 1e-4] = 0
+    A = np.hstack([np.ones((N, 1)), A[:, A.any(axis=0)]])
+    b = RNG.normal(size=N)
+    near = s.exclusion_radius(POINTS, 0.09)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mx.RankLossWarning)
+        expected = mx.LeastSquares(A, b).cross_validate(near)
+    assert 2 < len(expected.undefined) < N
+    model = mx.LeastSquares.from_blocks((A, b))
+    with pytest.warns(mx.RankLossWarning, match=f"{len(expected.undefined)} of {N} pairs lose rank"):
+        found = model.cross_validate(near)
+    np.testing.assert_array_equal(found.undefined, expected.undefined)
+    defined = np.isfinite(expected.residuals)
+    np.testing.assert_array_equal(np.isfinite(found.residuals), defined)
+    scale = np.abs(expected.residuals[defined])
+    assert (np.abs(found.residuals - expected.residuals)[defined] <= 1e-8 * (1 + scale)).all()
+
+
+def test_rank_that_is_lost_is_told():
+    A, b, _ = make()
+    A[:, 4] = A[:, 3] - A[:, 2]
+    model, expected = mx.LeastSquares.from_blocks((A, b)), mx.LeastSquares(A, b)
+    assert model.rank == expected.rank == P - 1
+    found, loo = (each.cross_validate(SCHEMES["radius"]).residuals for each in (model, expected))
+    np.testing.assert_allclose(found, loo, rtol=1e-9, atol=1e-10)
+    assert np.isnan(model.leverage).all()
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e200])
+def test_units_do_not_matter(unit):
+    A, b, _ = make()
+    expected = mx.LeastSquares(A, b).cross_validate(SCHEMES["radius"])
+    found = mx.LeastSquares.from_blocks((unit * A, b / unit)).cross_validate(SCHEMES["radius"])
+    np.testing.assert_allclose(found.residuals * unit, expected.residuals, rtol=1e-10)
+    np.testing.assert_allclose(found.score * unit, expected.score, rtol=1e-12)
+
+
+def test_no_bit_depends_on_threads(monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 1500)
+    A, b, weights = make(1, 2, True)
+    found = []
+    for threads in (1, 3):
+        model = mx.LeastSquares.from_blocks((A, b, weights), threads=threads)
+        found.append((model.coefficients, model.cross_validate(SCHEMES["lazy radius"], threads).residuals))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_files_of_other_numbers_are_read_where_they_are(tmp_path, monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 1500)
+    A, b, _ = make()
+    np.save(tmp_path / "A.npy", np.asfortranarray(np.round(A)).astype(np.float32))
+    np.save(tmp_path / "b.npy", np.round(10 * b).astype(np.int16))
+    A, b = (np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in "Ab")
+    expected = mx.LeastSquares(A, b).cross_validate(SCHEMES["radius"])
+    found = mx.LeastSquares.from_blocks((A, b)).cross_validate(SCHEMES["radius"])
+    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-10)
+
+
+def test_a_call_goes_on_where_another_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 1000)
+    A, b, _ = make()
+    model, path, parts = mx.LeastSquares.from_blocks((A, b)), tmp_path / "parts", []
+    expected = model.cross_validate(SCHEMES["lazy radius"])
+    solve = tall._solved
+
+    def counted(*arguments):
+        parts.append(arguments)
+        if len(parts) == 3:
+            raise KeyboardInterrupt
+        return solve(*arguments)
+
+    monkeypatch.setattr(tall, "_solved", counted)
+    with pytest.raises(KeyboardInterrupt):
+        model.cross_validate(SCHEMES["lazy radius"], resume=path)
+    with path.open("ab") as file:
+        file.write(path.read_bytes()[:300])  # a part that was being written
+    again = mx.LeastSquares.from_blocks((A, b)).cross_validate(SCHEMES["lazy radius"], resume=path)
+    np.testing.assert_array_equal(again.residuals, expected.residuals)
+    total = -(-N // (1000 // (16 * (P + 1)) * 16))
+    assert len(parts) == 3 + total - 2
+    model.cross_validate(SCHEMES["lazy radius"], resume=path)
+    assert len(parts) == 3 + total - 2, "finished parts were solved again"
+    with pytest.raises(ValueError, match=r"^Invalid resume\. .* the same data and the same scheme"):
+        model.cross_validate(SCHEMES["each datum"], resume=path)
+
+
+def test_progress_is_shown(monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 1000)
+    A, b, _ = make()
+    told = []
+
+    class Meter:
+        def __init__(self, total, desc):
+            told.append([desc, total, 0])
+
+        def update(self, number):
+            told[-1][2] += number
+
+        def close(self):
+            assert told[-1][1] == told[-1][2]
+
+    mx.LeastSquares.from_blocks((A, b)).cross_validate(SCHEMES["folds"], progress=Meter)
+    assert [each[0] for each in told] == ["rows", "held-out parts"]
+
+
+def test_it_stops_on_a_signal(tmp_path):
+    """In the middle of a part, and no file is left behind."""
+    script = textwrap.dedent("""
+        import numpy as np, mexpress as mx, os, signal, threading, time, sys
+        rng = np.random.default_rng(0)
+        A, b, points = rng.normal(size=(60_000, 40)), rng.normal(size=60_000), rng.uniform(size=(60_000, 2))
+        blocks = ((A[i : i + 6000], b[i : i + 6000]) for i in range(0, 60_000, 6000))
+        model = mx.LeastSquares.from_blocks(blocks, directory=sys.argv[1])
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        start = time.monotonic()
+        try:
+            model.cross_validate(mx.schemes.exclusion_radius(points, 0.2))
+        except KeyboardInterrupt:
+            print("stopped", time.monotonic() - start < 5)
+    """)
+    ran = subprocess.run(
+        [sys.executable, "-c", script, tmp_path], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert ran.stdout == "stopped True\n"
+    assert not list(tmp_path.iterdir())
+
+
+GOOD = make()[:2]
+
+
+def spoiled(array):
+    """Return a copy with an entry that is no number."""
+    copy = array.copy()
+    copy[3, 1] = np.nan
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("name", "told", "call"),
+    [
+        ("blocks", "none", lambda: mx.LeastSquares.from_blocks([])),
+        ("blocks", "3", lambda: mx.LeastSquares.from_blocks(3)),
+        ("blocks", "'rows'", lambda: mx.LeastSquares.from_blocks("rows")),
+        ("blocks", "array", lambda: mx.LeastSquares.from_blocks([GOOD[0]])),
+        ("blocks", "shapes", lambda: mx.LeastSquares.from_blocks((GOOD[0], GOOD[1][1:]))),
+        ("blocks", "shapes", lambda: mx.LeastSquares.from_blocks([(GOOD[1], GOOD[1])])),
+        ("blocks", "nan at row 3", lambda: mx.LeastSquares.from_blocks((spoiled(GOOD[0]), GOOD[1]))),
+        ("blocks", "1e\\+304", lambda: mx.LeastSquares.from_blocks((GOOD[0], np.full(N, 1e304)))),
+        ("blocks", "columns", lambda: mx.LeastSquares.from_blocks([GOOD, (GOOD[0][:, 1:], GOOD[1])])),
+        ("blocks", "text", lambda: mx.LeastSquares.from_blocks(([["text"]], [1.0]))),
+        ("coupling", "7", lambda: mx.LeastSquares.from_blocks(GOOD, 7)),
+        ("coupling", "0", lambda: mx.LeastSquares.from_blocks(GOOD, 0)),
+        ("weights", "shape", lambda: mx.LeastSquares.from_blocks((*GOOD, np.ones(3)))),
+        ("weights", "-1", lambda: mx.LeastSquares.from_blocks((*GOOD, np.full(N, -1.0)))),
+        ("scheme", "3 data", lambda: mx.LeastSquares.from_blocks(GOOD).cross_validate(s.leave_one_out(3))),
+        ("scheme", "None", lambda: mx.LeastSquares.from_blocks(GOOD).cross_validate(None)),
+        ("threads", "0", lambda: mx.LeastSquares.from_blocks(GOOD, threads=0)),
+    ],
+)
+def test_what_is_wrong_is_told(name, told, call):
+    with pytest.raises((ValueError, TypeError), match=rf"^Invalid {name}\. .*{told}"):
+        call()
+
+
+def test_scattered_pairs_of_many_data_are_refused(monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 1000)
+    monkeypatch.setattr(tall, "_MOST", 1500)
+    scattered = s.random_sampling(N, 50, 20, seed=0)
+    with pytest.raises(ValueError, match=r"^Invalid scheme\. Its pairs must hold out data near each other"):
+        mx.LeastSquares.from_blocks(GOOD).cross_validate(scattered)
