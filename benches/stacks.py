@@ -1,6 +1,6 @@
 """Time many small problems in one call against numpy's stacked factorisations, and a loop over `LeastSquares`.
 
-    python benches/batch.py [--rounds 5] [--problems 100000] [--threads 1 2]
+    python benches/stacks.py [--rounds 5] [--problems 100000] [--threads 1 2]
 
 Prints a table: microseconds a problem, how many times as fast as numpy, and the rate as a share of that of a product of
 matrices on one thread. Every peer does the same work: scores and prediction residuals of all problems; their largest
