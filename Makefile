@@ -65,6 +65,9 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/versus.py
 	$(BIN)/python benches/nested.py
 	$(BIN)/python benches/reproduce.py
+	$(BIN)/python benches/map_problems.py
+	$(BIN)/python benches/stacks.py
+	$(BIN)/python benches/tall.py
 	$(BIN)/python benches/smoothing.py map
 	$(BIN)/python benches/smoothing.py auto
 	$(BIN)/python benches/sklearn_refits.py

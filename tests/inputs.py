@@ -284,6 +284,16 @@ NUMBERS = {
     "select_surface max_count": ("max_count", N, lambda x: select(max_count=x).counts),
     "select_surface threads": ("threads", 2, lambda x: select(threads=x).curves["NN02PTS"]),
     "map_problems workers": ("workers", 1, lambda x: mx.map_problems(pow, [(2, 3), (3, 2)], workers=x)),
+    "map_problems retries": (
+        "retries",
+        1,
+        lambda x: mx.map_problems(pow, [(2, 3), (3, 2)], workers=1, retries=x),
+    ),
+    "iterate_problems workers": (
+        "workers",
+        1,
+        lambda x: [result for _, result in mx.iterate_problems(pow, [(2, 3), (3, 2)], workers=x)],
+    ),
     "Cloud n_valid": ("n_valid", 25, lambda x: mx.Cloud(POINTS, TARGET, None, x).n_valid),
     "Cloud n_missing": ("n_missing", 3, lambda x: mx.Cloud(POINTS, TARGET, None, N, x).n_missing),
 }
@@ -291,11 +301,12 @@ OPTIONAL = {
     "from_sets n",
     "from_splits n",
     "leave_p_out max_sets",
+    "iterate_problems workers",
     "map_problems workers",
     "select_surface max_count",
     *(name for name, (argument, *_) in NUMBERS.items() if argument == "threads"),
 }
-FROM_ZERO = {"n_missing"}
+FROM_ZERO = {"n_missing", "retries"}
 
 BAD_COUNTS = [
     0,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from mexpress import criteria, datasets, io, liftings, placement, schemes, simulation
-    from mexpress.batch import map_problems
+    from mexpress.batch import Failure, iterate_problems, map_problems
     from mexpress.io.clouds import Cloud, read_cloud
     from mexpress.leastsquares import (
         BatchCrossValidation,
@@ -49,6 +49,7 @@ __all__ = [
     "BatchCrossValidation",
     "Cloud",
     "CrossValidation",
+    "Failure",
     "LeastSquares",
     "RankLossWarning",
     "Selection",
@@ -64,6 +65,7 @@ __all__ = [
     "fit_surface",
     "fit_warp",
     "io",
+    "iterate_problems",
     "liftings",
     "load",
     "map_problems",
@@ -77,7 +79,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "mexpress.batch": ["map_problems"],
+    "mexpress.batch": ["Failure", "iterate_problems", "map_problems"],
     "mexpress.io.clouds": ["Cloud", "read_cloud"],
     "mexpress.leastsquares": [
         "BatchCrossValidation",

@@ -39,6 +39,7 @@ COVERED = {
     "BatchCrossValidation",  # a result
     "Cloud",
     "CrossValidation",  # a result
+    "Failure",  # a result
     "LeastSquares",
     "RankLossWarning",  # no function
     "Selection",  # a result
@@ -55,6 +56,7 @@ COVERED = {
     "fit_warp",
     "io",  # test_io_*.py
     "liftings",  # test_liftings_all.py
+    "iterate_problems",  # test_batch.py
     "load",
     "map_problems",  # test_batch.py
     "placement",  # test_placement.py and those beside it

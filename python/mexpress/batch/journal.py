@@ -1,0 +1,107 @@
+"""Results in a file, so that a run that was interrupted goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from mexpress import _validation as check
+from mexpress.batch.calls import Task
+from mexpress.batch.pickling import dumps
+from mexpress.batch.sharing import Call
+
+_RULE = "It must be a new file, or one of results that this version of mexpress has written."
+_HEAD = struct.Struct("<IQ")
+
+
+class Journal:
+    """A file that gets result after result.
+
+    A result is known by the place of its problem, and by a fingerprint of what it is of: the function and all its
+    arguments. What follows the last whole record of a file is cut off: a run was ended while it wrote.
+    """
+
+    def __init__(self, path: Path, task: Task, calls: Sequence[Call]) -> None:
+        self.calls = calls
+        self.arrays: dict[int, bytes] = {}
+        self.common = self._fingerprint(_name(task.function), task.options)
+        self.file = path.open("a+b", buffering=0)
+        self.file.seek(0)
+        title = f"mexpress {version('mexpress')}: results of map_problems\n".encode()
+        given = self.file.read(len(title))
+        if not title.startswith(given):
+            self.file.close()
+            check.refuse("resume", _RULE, f"{path}, which begins with {check.describe(given[:40])}")
+        if given == title:
+            self._cut_off(path, len(title))
+        else:
+            self.file.truncate(0)
+            self.file.write(title)
+        self.start = len(title)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    def known(self) -> Iterator[tuple[int, Any]]:
+        """Return the results that the file holds, with the indices of their problems."""
+        with open(self.file.name, "rb") as file:
+            file.seek(self.start)
+            for body in _records(file):
+                index, fingerprint, packed = pickle.loads(body)
+                if index < len(self.calls) and fingerprint == self._fingerprint_of(index):
+                    yield index, pickle.loads(packed)
+
+    def add(self, index: int, result: Any) -> None:
+        """Write a result, at once."""
+        body = pickle.dumps((index, self._fingerprint_of(index), dumps(result)))
+        self.file.write(_HEAD.pack(zlib.crc32(body), len(body)) + body)
+
+    def _cut_off(self, path: Path, start: int) -> None:
+        with path.open("rb") as file:
+            file.seek(start)
+            end = start + sum(_HEAD.size + len(body) for body in _records(file))
+        self.file.truncate(end)
+
+    def _fingerprint_of(self, index: int) -> bytes:
+        args, named = self.calls[index]
+        return self._fingerprint(self.common, *args, named)
+
+    def _fingerprint(self, *values: Any) -> bytes:
+        return hashlib.blake2b(b"".join(map(self._part, values)), digest_size=16).digest()
+
+    def _part(self, value: Any) -> bytes:
+        """Return bytes of a value: equal ones for equal values, if they come about in the same way."""
+        if isinstance(value, Mapping):
+            names = sorted(value, key=repr)
+            return dumps(names) + b"".join(self._part(value[name]) for name in names)
+        if type(value) not in (np.ndarray, np.memmap) or value.dtype.hasobject:
+            return dumps(value)
+        if id(value) not in self.arrays:  # which many problems may share
+            content = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data
+            self.arrays[id(value)] = hashlib.blake2b(content, digest_size=16).digest()
+        return dumps((value.dtype.str, value.shape)) + self.arrays[id(value)]
+
+
+def _name(function: Any) -> Any:
+    """Return what a function is called, or itself, if it has no name: a part of another function, say."""
+    name = getattr(function, "__qualname__", None)
+    return function if name is None else (getattr(function, "__module__", None), name)
+
+
+def _records(file: BinaryIO) -> Iterator[bytes]:
+    """Return the whole records from here on."""
+    while len(head := file.read(_HEAD.size)) == _HEAD.size:
+        checksum, length = _HEAD.unpack(head)
+        body = file.read(length)
+        if len(body) != length or zlib.crc32(body) != checksum:
+            return
+        yield body

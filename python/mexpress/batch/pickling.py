@@ -1,0 +1,54 @@
+"""What goes to workers and comes back as bytes: by reference where workers can import it, else by value."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from typing import Any
+
+
+def dumps(value: Any) -> bytes:
+    """Return the bytes of any value that Python can pickle, or cloudpickle if it is installed.
+
+    Workers import the calling script, but a notebook has nothing to import: its functions and classes go by value, as
+    lambdas do.
+
+    Examples
+    --------
+    >>> pickle.loads(dumps([1, 2]))
+    [1, 2]
+    """
+    try:
+        packed = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+    except Exception:  # pickling can raise anything
+        if not takes_anything():
+            raise
+    else:
+        if b"__main__" not in packed or _is_main_imported() or not takes_anything():
+            return packed
+    import cloudpickle  # noqa: PLC0415 - an extra
+
+    return bytes(cloudpickle.dumps(value))
+
+
+def takes_anything() -> bool:
+    """Return whether values can be sent that no module has."""
+    try:
+        import cloudpickle  # noqa: F401, PLC0415 - an extra
+    except ImportError:
+        return False
+    return True
+
+
+def is_out_of_reach(function: Any) -> bool:
+    """Return whether a function is one of a notebook, which workers cannot import."""
+    return getattr(function, "__module__", None) == "__main__" and not _is_main_imported()
+
+
+def _is_main_imported() -> bool:
+    """Return whether processes that are spawned import the module __main__: a script, or ``python -m module``."""
+    main = sys.modules["__main__"]
+    name = getattr(getattr(main, "__spec__", None), "name", None)
+    if name is not None:
+        return not f".{name}".endswith(".__main__")
+    return getattr(main, "__file__", None) is not None
