@@ -1,6 +1,6 @@
 //! Many small problems in one call, each as if it were alone.
 //!
-//! Problems of one shape are solved side by side, see [`lanes`] and [`pairs`], which serves those that are far from rank
+//! Problems of one shape are solved side by side, see `lanes` and `pairs`, which serves those that are far from rank
 //! loss, overflow and underflow. The others, and those that are too large for it, are solved one by one as
 //! [`fit::factor`](crate::fit::factor) and [`holdout`](crate::holdout) do.
 
