@@ -45,7 +45,7 @@ ROOMS = {
     "schemes": Room(1, 1, "what is held out", (6,)),
     "placement": Room(3, 1, "control points", (2,)),
 }
-GROUND = ["_validation", "extras", "geometry", "index_sets", "notebook", "progress", "resampling"]
+GROUND = ["_validation", "extras", "geometry", "index_sets", "logger", "notebook", "progress", "resampling"]
 RUST = ["evaluate", "fit", "holdout", "near", "place"]
 NOT_DRAWN = ["__init__", "__main__", "versions"]
 

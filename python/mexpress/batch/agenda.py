@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import heapq
-import logging
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 from mexpress.batch.calls import Failure, Outcome
-
-LOG = logging.getLogger("mexpress")
-LOG.addHandler(logging.NullHandler())
+from mexpress.logger import LOG
 
 TICK = 1.0
 """Seconds between looks at workers that say nothing; on Windows, Ctrl-C is heard between waits only."""

@@ -13,13 +13,14 @@ from traceback import format_exception
 from typing import Any, Literal, TypeVar, overload
 
 from mexpress import _validation as check
-from mexpress.batch.agenda import LOG, Agenda
+from mexpress.batch.agenda import Agenda
 from mexpress.batch.calls import Failure, Outcome, Task, within
 from mexpress.batch.clients import by_client
 from mexpress.batch.journal import Journal
 from mexpress.batch.pickling import dumps, is_out_of_reach, takes_anything
 from mexpress.batch.sharing import Call
 from mexpress.batch.workers import by_processes
+from mexpress.logger import LOG
 from mexpress.progress import Show, shown
 
 Result = TypeVar("Result")

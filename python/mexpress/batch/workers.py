@@ -20,13 +20,14 @@ from pathlib import Path
 from tempfile import mkdtemp, mkstemp
 from typing import Any
 
-from mexpress.batch.agenda import LOG, TICK, Agenda
+from mexpress.batch.agenda import TICK, Agenda
 from mexpress.batch.calls import Task, failed, timed_out, unpacked
 from mexpress.batch.parcels import parcel
 from mexpress.batch.pickling import dumps
 from mexpress.batch.process import Process
 from mexpress.batch.serving import Packed, kept, serve
 from mexpress.batch.sharing import Bytes, Call, Sharing
+from mexpress.logger import LOG
 
 Settled = Generator[tuple[int, Any], None, None]
 

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-LOG = logging.getLogger("mexpress")
-LOG.addHandler(logging.NullHandler())
+from mexpress.logger import LOG
 
 P = ParamSpec("P")
 SelectionT = TypeVar("SelectionT", bound=Any)
