@@ -32,7 +32,7 @@ class Cells:
     Examples
     --------
     >>> rows = Rows(np.arange(6.0)[:, None], np.ones(6), None, 1)
-    >>> cells = Cells.of(rows, np.arange(6)[::-1], 2, 1, lambda: None)
+    >>> cells = Cells.of(rows, np.arange(6)[::-1], 2, 2, 1, lambda: None)
     >>> cells.data(np.array([0, 2]))
     array([0, 1, 4, 5])
     >>> rest = cells.rest(np.array([0, 2]))
@@ -47,21 +47,27 @@ class Cells:
     threads: int
 
     @classmethod
-    def of(cls, rows: Rows, order: Integers, size: int, threads: int, on_step: Callable[[], None]) -> Cells:
-        """Read all rows, and reduce them to triangles; `on_step` is called `steps` times."""
-        q, together = rows.columns + rows.responses, _cells_together(rows, size)
+    def of(
+        cls,
+        rows: Rows,
+        order: Integers,
+        size: int,
+        together: int,
+        threads: int,
+        on_step: Callable[[], None],
+    ) -> Cells:
+        """Read all rows, some cells together, and reduce them to triangles; `on_step` is called each time."""
+        q = rows.columns + rows.responses
         triangles = np.empty((-(-len(order) // size), q, q))
-        for first in range(0, len(triangles), together):
-            data = order[first * size : (first + together) * size]
-            block = rows.take(rows.of(data))
-            triangles[first : first + together] = _core.triangles(block, size * rows.coupling, threads)
+        firsts = range(0, len(triangles), together)
+        calls = (
+            (rows.of(order[first * size : (first + together) * size]), size * rows.coupling, threads)
+            for first in firsts
+        )
+        for first, found in zip(firsts, rows.each(_core.triangles, calls), strict=True):
+            triangles[first : first + together] = found
             on_step()
         return cls(order, size, triangles, threads)
-
-    @staticmethod
-    def steps(rows: Rows, size: int) -> int:
-        """How many times `of` calls `on_step`."""
-        return -(-rows.n_data // (size * _cells_together(rows, size)))
 
     def __len__(self) -> int:
         return len(self.triangles)
@@ -106,7 +112,6 @@ def merged(stack: Floats, threads: int) -> Floats:
     return _core.triangles(stack, len(stack), threads)[0] if len(stack) else np.zeros((q, q))
 
 
-def _cells_together(rows: Rows, size: int) -> int:
-    """Cells that are read at once."""
-    numbers = size * rows.coupling * (rows.columns + rows.responses)
-    return max(1, (1 << 22) // numbers)
+def reduced(rows: Floats, threads: int) -> Floats:
+    """The triangle of many rows, (q, q)."""
+    return merged(_core.triangles(rows, 4096, threads).reshape(-1, rows.shape[1]), threads)

@@ -133,7 +133,7 @@ class LeastSquares:
     def from_blocks(
         blocks: Any, coupling: int = 1, *, directory: Any = None, threads: int | None = None
     ) -> TallLeastSquares:
-        """Fit rows that need not fit in memory: of memory-mapped arrays, or that come a block at a time.
+        """Fit rows that need not fit in memory: of memory-mapped or dask arrays, or that come a block at a time.
 
         All rows are read once, and reduced to a triangle by reflections (TSQR). Cross-validation reads them twice more:
         see `TallLeastSquares`.
@@ -142,14 +142,15 @@ class LeastSquares:
         ----------
         blocks : tuple of arrays, or iterable of such tuples
             ``(A, b)`` or ``(A, b, weights)``: (m, p), (m,) or (m, r), and one weight a datum, (n,). Arrays in
-            memory-mapped files (`numpy.load` with ``mmap_mode="r"``) stay there. What an iterable yields is kept in a
-            temporary file, as large as all its blocks.
+            memory-mapped files (`numpy.load` with ``mmap_mode="r"``) stay there. If A is a dask array (extra ``dask``),
+            all work is done where its blocks are, by Dask's scheduler; b and the weights may be dask arrays or others.
+            What an iterable yields is kept in a temporary file, as large as all its blocks.
         coupling : int, default 1
             The number of consecutive rows per datum.
         directory : str or Path, optional
             Where the temporary file is made.
         threads : int, optional
-            Largest number of threads.
+            Largest number of threads. With dask arrays, those of a task: one by default.
 
         Examples
         --------

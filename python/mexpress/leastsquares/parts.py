@@ -3,16 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress import _core
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.index_sets import IndexSets
+from mexpress.index_sets import CoreSets, IndexSets
 from mexpress.leastsquares.cells import Cells
 from mexpress.schemes import LazyNeighbourhoods, Scheme, checked_radius
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """Each pair holds out all data within a distance of one, which it validates.
+
+    Parameters
+    ----------
+    points : (d, k) array
+        Positions of the data.
+    centres : (t,) uintp array
+        The data that are validated.
+    reach : float
+        The distance.
+    """
+
+    points: Floats
+    centres: NDArray[np.uintp]
+    reach: float
+
+    def search(self, threads: int) -> _core.LazyNeighbourhoods:
+        """Return what finds them for the core."""
+        return _core.LazyNeighbourhoods.within_around(self.points, self.centres, self.reach, threads)
+
+
+Held: TypeAlias = Around | tuple[CoreSets, CoreSets]
+"""What each pair holds out and validates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,37 +55,41 @@ class Part:
         Cells that have all data that the pairs hold out.
     data : (d,) int64 array
         The data of these cells, increasing.
-    held : object
-        What each pair holds out and validates, as the core takes it, over these data.
+    held : Held
+        What each pair holds out and validates, over these data.
     """
 
     pairs: Integers
     cells: Integers
     data: Integers
-    held: Any
+    held: Held
 
-    def residuals(
-        self, block: Floats, rest: Floats, coupling: int, columns: int, threads: int
-    ) -> tuple[Floats, Integers]:
-        """Weighted prediction residuals of the validated rows, (t, r), and the pairs that lose rank.
 
-        Parameters
-        ----------
-        block : (k, p + r) array
-            Weighted rows ``[A, b]`` of the data.
-        rest : (q, p + r) array
-            The triangle of all other rows.
-        coupling, columns, threads : int
-            Rows of a datum, p, and the largest number of threads.
-        """
-        rows = np.concatenate([block, rest[rest.any(axis=1)]])
-        design, responses = (np.ascontiguousarray(each) for each in np.split(rows, [columns], axis=1))
-        ends = np.concatenate([np.arange(0, len(block), coupling), np.arange(len(block), len(rows) + 1)])
-        factor = _core.Factor((design, responses, None, np.zeros((0, columns))), threads)
-        order = np.arange(len(self.pairs)).view(np.uintp)
-        data = IndexSets(ends, np.arange(len(rows)))
-        ((_, residuals, _, _, undefined),) = factor.predict([(self.held, order)], data.arrays, threads)
-        return residuals, self.pairs[undefined]
+def predicted(
+    block: Floats, rest: Floats, pairs: Integers, held: Held, coupling: int, columns: int, threads: int
+) -> tuple[Floats, Integers]:
+    """Weighted prediction residuals of the validated rows of a part, (t, r), and the pairs that lose rank.
+
+    Parameters
+    ----------
+    block : (k, p + r) array
+        Weighted rows ``[A, b]`` of the data of the part.
+    rest : (q, p + r) array
+        The triangle of all other rows.
+    pairs, held
+        Those of the part.
+    coupling, columns, threads : int
+        Rows of a datum, p, and the largest number of threads.
+    """
+    rows = np.concatenate([block, rest[rest.any(axis=1)]])
+    design, responses = (np.ascontiguousarray(each) for each in np.split(rows, [columns], axis=1))
+    ends = np.concatenate([np.arange(0, len(block), coupling), np.arange(len(block), len(rows) + 1)])
+    factor = _core.Factor((design, responses, None, np.zeros((0, columns))), threads)
+    order = np.arange(len(pairs)).view(np.uintp)
+    data = IndexSets(ends, np.arange(len(rows)))
+    sets = held.search(threads) if isinstance(held, Around) else held
+    ((_, residuals, _, _, undefined),) = factor.predict([(sets, order)], data.arrays, threads)
+    return residuals, pairs[undefined]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +141,7 @@ class Parts:
         near = _near(points[own], reach, self._corners)
         data = self.cells.data(near)
         centres = np.searchsorted(data, own).view(np.uintp)
-        search = _core.LazyNeighbourhoods.within_around(points[data], centres, reach, self.threads)
-        return Part(own, near, data, search)
+        return Part(own, near, data, Around(points[data], centres, reach))
 
     def _nearest(self, scheme: LazyNeighbourhoods, own: Integers) -> Part:
         out = IndexSets(*scheme.search.listed(own.view(np.uintp), self.threads))
@@ -119,10 +150,10 @@ class Parts:
     def _listed(self, pairs: Integers, out: IndexSets, validated: IndexSets) -> Part:
         near = np.unique(self.cells.of_data[out.indices])
         data = self.cells.data(near)
-        sets = (
+        held, scored = (
             IndexSets(some.offsets, np.searchsorted(data, some.indices)).arrays for some in (out, validated)
         )
-        return Part(pairs, near, data, tuple(sets))
+        return Part(pairs, near, data, (held, scored))
 
     @cached_property
     def _corners(self) -> tuple[Floats, Floats]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,25 @@ class Rows:
     weights: Floats | None
     coupling: int
 
+    @classmethod
+    def checked(cls, block: Any, coupling: int) -> Self:
+        """Rows of ``(A, b)`` or ``(A, b, weights)``, if their shapes fit."""
+        if not isinstance(block, tuple) or len(block) not in (2, 3):
+            check.refuse("blocks", _RULE, check.describe(block), TypeError)
+        A, b = (cls.array(each) for each in block[:2])
+        if A.ndim != 2 or b.ndim not in (1, 2) or len(A) != len(b) or not A.size or not b.size:
+            check.refuse("blocks", _RULE, f"shapes {A.shape} and {b.shape}")
+        if len(A) % coupling:
+            check.refuse("coupling", f"It must divide the {len(A)} rows of a block.", str(coupling))
+        if len(block) == 2 or block[2] is None:
+            return cls(A, b, None, coupling)
+        return cls(A, b, expect_weights(block[2], len(A) // coupling), coupling)
+
+    @staticmethod
+    def array(given: Any) -> Any:
+        """A design or responses, if they are real numbers."""
+        return check.array(given, "blocks", _RULE, "biuf")
+
     @property
     def columns(self) -> int:
         """Number of columns of the design."""
@@ -55,7 +74,7 @@ class Rows:
     @property
     def responses(self) -> int:
         """Number of responses."""
-        return int(self.b[0].size)
+        return 1 if self.b.ndim == 1 else int(self.b.shape[1])
 
     @property
     def n_data(self) -> int:
@@ -86,6 +105,19 @@ class Rows:
         size = max(1, _NUMBERS // (self.columns + self.responses))
         return (np.arange(first, min(first + size, len(self.A))) for first in range(0, len(self.A), size))
 
+    def together(self, numbers: int) -> int:
+        """How many rows are best read at once, of about so many numbers."""
+        return numbers // (self.columns + self.responses)
+
+    def each(self, work: Callable[..., Any], calls: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+        """Do some work on weighted rows of ``[A, b]``, time after time: a call is ``(rows, *further arguments)``."""
+        return (work(self.take(rows), *others) for rows, *others in calls)
+
+    @staticmethod
+    def threads(given: Any) -> int:
+        """Threads of such work."""
+        return check.threads(given)
+
 
 def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats], None]) -> Rows:
     """Read all rows once: those of arrays stay where they are, those of an iterable are written to a file.
@@ -101,20 +133,19 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
     each : callable
         Called with weighted rows, (k, p + r).
     """
-    g = check.count(coupling, "coupling", 1)
     if isinstance(blocks, tuple):
-        rows = _checked(blocks, g)
+        rows = Rows.checked(blocks, coupling)
         for some in rows.blocks():
-            each(_bounded(rows.take(some), rows.columns))
+            each(bounded(rows.take(some), rows.columns))
         return rows
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Iterable):
         check.refuse("blocks", _RULE, check.describe(blocks), TypeError)
     with tempfile.TemporaryFile(dir=directory) as file:  # its pages stay as long as they are mapped
-        first, weights = _written(blocks, g, file, each)
+        first, weights = _written(blocks, coupling, file, each)
         together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
     b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
-    shares = expect_weights(np.concatenate(weights), len(b) // g) if weights else None
-    return Rows(together[:, : first.columns], b, shares, g)
+    shares = expect_weights(np.concatenate(weights), len(b) // coupling) if weights else None
+    return Rows(together[:, : first.columns], b, shares, coupling)
 
 
 def _written(
@@ -124,13 +155,13 @@ def _written(
     weights: list[Floats] = []
     first = None
     for given in blocks:
-        rows = _checked(given, g)
+        rows = Rows.checked(given, g)
         first = first or rows
         alike = rows.A.shape[1:] == first.A.shape[1:] and rows.b.shape[1:] == first.b.shape[1:]
         if not alike or (rows.weights is None) != (first.weights is None):
             rule = "All must be of as many columns and responses, with weights or without."
             check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
-        plain = _bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
+        plain = bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
         file.write(plain.data)
         weights += [] if rows.weights is None else [rows.weights]
         each(plain * rows.roots(np.arange(len(plain))))
@@ -140,21 +171,7 @@ def _written(
     return first, weights
 
 
-def _checked(block: Any, g: int) -> Rows:
-    """Rows whose shapes fit."""
-    if not isinstance(block, tuple) or len(block) not in (2, 3):
-        check.refuse("blocks", _RULE, check.describe(block), TypeError)
-    A, b = (check.array(each, "blocks", _RULE, "biuf") for each in block[:2])
-    if A.ndim != 2 or b.ndim not in (1, 2) or len(A) != len(b) or not A.size or not b.size:
-        check.refuse("blocks", _RULE, f"shapes {A.shape} and {b.shape}")
-    if len(A) % g:
-        check.refuse("coupling", f"It must divide the {len(A)} rows of a block.", str(g))
-    if len(block) == 2 or block[2] is None:
-        return Rows(A, b, None, g)
-    return Rows(A, b, expect_weights(block[2], len(A) // g), g)
-
-
-def _bounded(rows: Floats, p: int) -> Floats:
+def bounded(rows: Floats, p: int) -> Floats:
     """Rows ``[A, b]``, if they are finite, and responses within the limit."""
     largest = np.abs(check.finite(rows, "blocks")[:, p:]).max()
     if largest > check.LARGEST_RESPONSE:

@@ -8,7 +8,7 @@ rows are never held out: it has the same solution, the same leverages, and the s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,11 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.index_sets import singletons
-from mexpress.leastsquares.cells import Cells, merged
+from mexpress.leastsquares.cells import Cells, merged, reduced
 from mexpress.leastsquares.cross_validation import CrossValidation, expect_scheme_of, warn_of_rank_loss
+from mexpress.leastsquares.dask_rows import DaskRows
 from mexpress.leastsquares.finished import Finished
-from mexpress.leastsquares.parts import Part, Parts, data_order
+from mexpress.leastsquares.parts import Part, Parts, data_order, predicted
 from mexpress.leastsquares.rows import Rows, rows_of
 from mexpress.progress import shown
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
@@ -29,8 +30,11 @@ from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 _PART = 1 << 22
 """Numbers of the rows of a part, but for those near it: 32 MiB, of which a fit needs several."""
 
-_CELLS = 16
-"""Cells of a part."""
+_CELLS = 64
+"""Cells of a part: whole ones are read around it, so that fewer mean more rows to read."""
+
+_CELL = 8
+"""Rows of a cell for each of its columns, if it can be: the triangle that is kept of it is so much smaller."""
 
 _MOST = 1 << 27
 """Numbers of the rows that a part may read: 1 GiB."""
@@ -66,26 +70,32 @@ class TallLeastSquares:
     """
 
     _rows: Rows
-    _whole: _core.Factor
-    """The fit of the triangle of all rows."""
+    _triangle: Floats
+    """The triangle of all rows."""
 
     @classmethod
     def of(cls, blocks: Any, coupling: int, directory: Any, threads: int | None) -> TallLeastSquares:
         """Read all rows once."""
-        workers, stack = check.threads(threads), [np.zeros((0, 0))]
+        workers, g, stack = check.threads(threads), check.count(coupling, "coupling", 1), [np.zeros((0, 0))]
+        if DaskRows.have(blocks):
+            dask_rows = DaskRows.checked(blocks, g)
+            return cls(dask_rows, dask_rows.triangle(DaskRows.threads(threads)))
 
         def reduce(rows: Floats) -> None:
             above = stack.pop().reshape(-1, rows.shape[1])
-            cells = _core.triangles(rows, 4096, workers).reshape(-1, rows.shape[1])
-            stack.append(merged(np.concatenate([above, cells]), workers))
+            stack.append(merged(np.concatenate([above, reduced(rows, workers)]), workers))
 
-        rows = rows_of(blocks, coupling, directory, reduce)
-        A, b = (np.ascontiguousarray(each) for each in np.split(stack[0], [rows.columns], axis=1))
-        return cls(rows, _core.Factor((A, b, None, A[:0]), workers))
+        rows = rows_of(blocks, g, directory, reduce)
+        return cls(rows, stack[0])
 
     def __repr__(self) -> str:
         size = f"{self.n_data} data, {len(self._rows.A)} rows, {self._rows.columns} columns, rank {self.rank}"
         return f"TallLeastSquares({size}, fit_rms={self.fit_rms:.7g})"
+
+    @cached_property
+    def _whole(self) -> _core.Factor:
+        """The fit of the triangle of all rows."""
+        return _fit_of(self._triangle, self._rows.columns, check.threads(None))
 
     @property
     def coefficients(self) -> Floats:
@@ -113,18 +123,18 @@ class TallLeastSquares:
     @cached_property
     def residuals(self) -> Floats:
         """Return b - A x, (m,) or (m, r)."""
-        plain = Rows(self._rows.A, self._rows.b, None, 1)
+        plain = replace(self._rows, weights=None, coupling=1)
         x = self.coefficients.reshape(plain.columns, -1)
         of_both = np.vstack([-x, np.eye(plain.responses)])
-        left = [_core.product(plain.take(some), of_both, check.threads(None)) for some in plain.blocks()]
-        return np.concatenate(left).reshape(plain.b.shape)
+        calls = ((some, of_both, plain.threads(None)) for some in plain.blocks())
+        return np.concatenate([*plain.each(_core.product, calls)]).reshape(plain.b.shape)
 
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal of the hat matrix, (m,); NaN if rank is lost."""
-        rows = (self._rows.take(some)[:, : self._rows.columns] for some in self._rows.blocks())
-        over = (self._whole.over_basis(np.ascontiguousarray(each), check.threads(None)) for each in rows)
-        return np.concatenate([np.square(each).sum(axis=1) for each in over])
+        rows = self._rows
+        calls = ((some, self._triangle, rows.columns, rows.threads(None)) for some in rows.blocks())
+        return np.concatenate([*rows.each(_leverage, calls)])
 
     def cross_validate(
         self,
@@ -142,7 +152,8 @@ class TallLeastSquares:
             A scheme whose pairs hold out data near each other, such as `exclusion_radius`, or each datum once, such as
             `leave_one_out` and `k_fold`.
         threads : int, optional
-            Largest number of threads. The result does not depend on it.
+            Largest number of threads; with dask arrays, those of a task, one by default. The result does not depend
+            on it.
         progress : bool or callable, default False
             Show progress on standard error; or a callable that makes a bar, such as ``tqdm.tqdm``.
         resume : str or Path, optional
@@ -159,7 +170,7 @@ class TallLeastSquares:
             If the data that some pairs hold out are so far apart that a part would have to read most rows.
         """
         expect_scheme_of(self.n_data, scheme)
-        result = self._predicted(self._rows, scheme, check.threads(threads), progress, resume)
+        result = self._predicted(self._rows, scheme, self._rows.threads(threads), progress, resume)
         warn_of_rank_loss(result, len(scheme))
         return result
 
@@ -170,7 +181,7 @@ class TallLeastSquares:
         weights = None if rows.weights is None else np.repeat(rows.weights, rows.coupling)
         alone = leave_one_out(len(rows.A))
         return self._predicted(
-            Rows(rows.A, rows.b, weights, 1), alone, check.threads(None), False, None
+            replace(rows, weights=weights, coupling=1), alone, rows.threads(None), False, None
         ).score
 
     def _predicted(
@@ -179,14 +190,18 @@ class TallLeastSquares:
         finished = Finished(None if resume is None else check.path(resume, "resume"), self._key(scheme), 2)
         done, places = dict(finished.read()), Places.of(scheme, rows)
         residuals, undefined = np.full((len(places.rows), rows.responses), np.nan), []
-        size = max(1, _PART // (_CELLS * rows.coupling * (rows.columns + rows.responses)))
-        with shown(progress, "rows")([1.0] * Cells.steps(rows, size)) as step:
-            cells = Cells.of(rows, data_order(scheme), size, threads, step)
-        parts = Parts(scheme, cells, _CELLS, threads)
+        together = rows.together(_PART)
+        count = max(1, min(_CELLS, together // (_CELL * (rows.columns + rows.responses))))
+        size = max(1, together // (count * rows.coupling))
+        with shown(progress, "rows")([1.0] * -(-rows.n_data // (size * count))) as step:
+            cells = Cells.of(rows, data_order(scheme), size, count, threads, step)
+        parts = Parts(scheme, cells, count, threads)
+        left = [k for k in range(len(parts)) if k not in done]
+        solved = rows.each(predicted, (_call(rows, parts[k], cells) for k in left))
         with shown(progress, "held-out parts")([1.0] * len(parts)) as step:
             for k, pairs in enumerate(parts.pairs):
                 if k not in done:
-                    done[k] = _solved(rows, parts[k], cells)
+                    done[k] = next(solved)
                     finished.add(k, *done[k])
                 found, lost = done.pop(k)
                 residuals[places.of_pairs(pairs)] = found
@@ -205,15 +220,28 @@ class TallLeastSquares:
         return np.array([*self.coefficients.ravel(), self.fit_rms, self.n_data, len(scheme), *told])
 
 
-def _solved(rows: Rows, part: Part, cells: Cells) -> tuple[Floats, Integers]:
-    """Plain prediction residuals of a part, and its undefined pairs."""
+def _call(rows: Rows, part: Part, cells: Cells) -> tuple[Any, ...]:
+    """Rows of a part, and further arguments of `predicted`."""
     numbers = len(part.data) * rows.coupling * (rows.columns + rows.responses)
     if numbers > _MOST:
         rule = "Its pairs must hold out data near each other, or each datum once and a small share of all."
         given = f"pairs that hold out data among {len(part.data)} of {rows.n_data}"
         check.refuse("scheme", rule, given)
-    block, rest = rows.take(rows.of(part.data)), cells.rest(part.cells)
-    return part.residuals(block, rest, rows.coupling, rows.columns, cells.threads)
+    others = part.pairs, part.held, rows.coupling, rows.columns, cells.threads
+    return rows.of(part.data), cells.rest(part.cells), *others
+
+
+def _fit_of(triangle: Floats, columns: int, threads: int) -> _core.Factor:
+    """The fit of the rows of a triangle."""
+    A, b = (np.ascontiguousarray(each) for each in np.split(triangle, [columns], axis=1))
+    return _core.Factor((A, b, None, A[:0]), threads)
+
+
+def _leverage(block: Floats, triangle: Floats, columns: int, threads: int) -> Floats:
+    """The leverage of some rows in the fit of a triangle."""
+    over = _fit_of(triangle, columns, threads).over_basis(np.ascontiguousarray(block[:, :columns]), threads)
+    leverage: Floats = np.square(over).sum(axis=1)
+    return leverage
 
 
 @dataclass(frozen=True, eq=False)
