@@ -68,6 +68,7 @@ bench: $(VENV)/bench ## Time the core against numpy and peers
 	$(BIN)/python benches/map_problems.py
 	$(BIN)/python benches/stacks.py
 	$(BIN)/python benches/tall.py
+	$(BIN)/python benches/tall_dask.py
 	$(BIN)/python benches/smoothing.py map
 	$(BIN)/python benches/smoothing.py auto
 	$(BIN)/python benches/sklearn_refits.py
