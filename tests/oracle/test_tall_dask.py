@@ -57,6 +57,19 @@ def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     assert (model.rank, model.n_data) == (P, N)
 
 
+def test_some_blocks_are_empty():
+    """As after a choice of rows."""
+    A, b, _ = make()
+    few = A[:, 0] > np.sort(A[:, 0])[-40]
+    chosen = [each[da.from_array(few, chunks=10)] for each in spread(A, b, 10)]
+    for each in chosen:
+        each.compute_chunk_sizes()
+    assert 0 in chosen[0].chunks[0]
+    expected, model = mx.LeastSquares(A[few], b[few]), mx.LeastSquares.from_blocks(tuple(chosen))
+    for name in ("coefficients", "residuals", "leverage", "press"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-10, atol=1e-13)
+
+
 def test_whole_numbers_and_rows_in_no_order():
     """Neighbours are in all blocks."""
     A, b, _ = make()

@@ -54,9 +54,9 @@ class DaskRows(Rows):
 
     @classmethod
     def checked(cls, block: Any, coupling: int) -> Self:
-        """Rows of ``(A, b)`` or ``(A, b, weights)``, if their shapes fit; all columns of a row in one block."""
+        """Rows of ``(A, b)`` or ``(A, b, weights)``, if their shapes fit, in blocks of whole rows, none empty."""
         rows = super().checked(block, coupling)
-        A = rows.A.rechunk({1: -1})
+        A = rows.A.rechunk({0: tuple(length for length in rows.A.chunks[0] if length), 1: -1})
         b = rows.b.rechunk({0: A.chunks[0]} | ({1: -1} if rows.b.ndim == 2 else {}))
         return replace(rows, A=A, b=b)
 
