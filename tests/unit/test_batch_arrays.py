@@ -231,6 +231,23 @@ def test_results_of_other_calls_are_not_taken(tmp_path):
     assert run(function=cube) == [0, 1]
 
 
+class Scale:
+    """What a method belongs to."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def times(self, number):
+        """Return a multiple."""
+        return self.factor * number
+
+
+def test_results_of_methods_of_other_objects_are_not_taken(tmp_path):
+    for factor in (2, 3, 2):
+        found = mx.map_problems(Scale(factor).times, [(1,), (2,)], workers=1, resume=tmp_path / "results")
+        assert found == [factor, 2 * factor]
+
+
 def test_a_record_that_was_being_written_is_done_again_and_the_file_is_whole(tmp_path):
     file = tmp_path / "results"
     mx.map_problems(square, [(i,) for i in range(4)], workers=1, resume=file, folder=tmp_path)
