@@ -119,6 +119,33 @@ def test_units_do_not_matter(unit):
     np.testing.assert_allclose(found.score * unit, expected.score, rtol=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1e-300, 1e300])
+@pytest.mark.parametrize("make_blocks", [lambda *arrays: arrays, blocks_of], ids=["arrays", "blocks"])
+def test_units_of_weights_do_not_matter(unit, make_blocks):
+    A, b, weights = make(weighted=True)
+    expected = mx.LeastSquares.from_blocks((A, b, weights))
+    model = mx.LeastSquares.from_blocks(make_blocks(A, b * unit ** (2 / 3), weights * unit))
+    np.testing.assert_allclose(model.coefficients / unit ** (2 / 3), expected.coefficients, rtol=1e-10)
+    for found, same in ((model.fit_rms, expected.fit_rms), (model.press, expected.press)):
+        np.testing.assert_allclose(found / unit ** (2 / 3), same, rtol=1e-10)
+
+
+def test_memory_of_a_block_may_serve_for_the_next_one():
+    A, b, weights = make(weighted=True)
+    memory = tuple(np.empty_like(each[:100]) for each in (A, b, weights))
+
+    def blocks():
+        for first in range(0, N, 100):
+            for each, given in zip(memory, (A, b, weights), strict=True):
+                each[:] = given[first : first + 100]
+            yield memory
+
+    expected = mx.LeastSquares(A, b, weights=weights)
+    model = mx.LeastSquares.from_blocks(blocks())
+    np.testing.assert_allclose(model.fit_rms, expected.fit_rms, rtol=1e-12)
+    np.testing.assert_allclose(model.press, expected.press, rtol=1e-12)
+
+
 def test_no_bit_depends_on_threads(monkeypatch):
     monkeypatch.setattr(tall, "_PART", 1500)
     A, b, weights = make(1, 2, True)
@@ -167,6 +194,31 @@ def test_a_call_goes_on_where_another_ended(tmp_path, monkeypatch):
     assert len(parts) == 3 + total - 2, "finished parts were solved again"
     with pytest.raises(ValueError, match=r"^Invalid resume\. .* the same data and the same scheme"):
         model.cross_validate(SCHEMES["each datum"], resume=path)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (s.Places.of(POINTS).lazily_within(5), s.Places.of(POINTS).lazily_nearest(5)),
+        (
+            s.Places.of(np.round(9 * POINTS)).lazily_within(1),
+            s.Places.of(np.round(9 * POINTS[::-1])).lazily_within(1),
+        ),
+        (s.from_sets([[0, 1], [2]], n=N), s.from_sets([[0], [1, 2]], n=N)),
+        (s.from_sets([[0, 1], [2]], [[0], [2]], n=N), s.from_sets([[0, 1], [2]], [[1], [2]], n=N)),
+        (SCHEMES["radius"], s.Scheme(N, SCHEMES["radius"].held_out, SCHEMES["radius"].validated)),
+    ],
+    ids=["how", "points", "ends", "validated", "order"],
+)
+def test_a_file_of_another_scheme_is_refused(one, other, tmp_path):
+    A, b, _ = make()
+    model, path = mx.LeastSquares.from_blocks((A, b)), tmp_path / "parts"
+    path.touch()  # as good as none
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mx.RankLossWarning)
+        model.cross_validate(one, resume=path)
+        with pytest.raises(ValueError, match=r"^Invalid resume\. .* the same data and the same scheme"):
+            model.cross_validate(other, resume=path)
 
 
 def test_progress_is_shown(monkeypatch):

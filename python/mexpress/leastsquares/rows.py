@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -31,7 +31,7 @@ class Rows:
     b : (m,) or (m, r) array
         Responses.
     weights : (n,) array or None
-        Weights of the data.
+        Weights of the data, near one: fits and scores depend on their ratios alone.
     coupling : int
         Rows of a datum.
 
@@ -104,6 +104,7 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
     g = check.count(coupling, "coupling", 1)
     if isinstance(blocks, tuple):
         rows = _checked(blocks, g)
+        rows = _weighing(rows, _exponent(rows.weights))
         for some in rows.blocks():
             each(_bounded(rows.take(some), rows.columns))
         return rows
@@ -114,7 +115,7 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
         together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
     b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
     shares = expect_weights(np.concatenate(weights), len(b) // g) if weights else None
-    return Rows(together[:, : first.columns], b, shares, g)
+    return _weighing(Rows(together[:, : first.columns], b, shares, g), _exponent(first.weights))
 
 
 def _written(
@@ -125,15 +126,16 @@ def _written(
     first = None
     for given in blocks:
         rows = _checked(given, g)
-        first = first or rows
+        if first is None:  # the memory of a block may serve for the next one
+            first = replace(rows, weights=None if rows.weights is None else rows.weights.copy())
         alike = rows.A.shape[1:] == first.A.shape[1:] and rows.b.shape[1:] == first.b.shape[1:]
         if not alike or (rows.weights is None) != (first.weights is None):
             rule = "All must be of as many columns and responses, with weights or without."
             check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
         plain = _bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
         file.write(plain.data)
-        weights += [] if rows.weights is None else [rows.weights]
-        each(plain * rows.roots(np.arange(len(plain))))
+        weights += [] if rows.weights is None else [rows.weights.copy()]
+        each(plain * _weighing(rows, _exponent(first.weights)).roots(np.arange(len(plain))))
     if first is None:
         check.refuse("blocks", _RULE, "none")
     file.flush()
@@ -152,6 +154,16 @@ def _checked(block: Any, g: int) -> Rows:
     if len(block) == 2 or block[2] is None:
         return Rows(A, b, None, g)
     return Rows(A, b, expect_weights(block[2], len(A) // g), g)
+
+
+def _exponent(weights: Floats | None) -> int:
+    """Exponent of a power of four that brings weights near one."""
+    return 0 if weights is None else int(np.frexp(weights.max())[1]) // 2
+
+
+def _weighing(rows: Rows, exponent: int) -> Rows:
+    """Rows with weights over a power of four, so that their roots times rows neither over- nor underflow."""
+    return rows if rows.weights is None else replace(rows, weights=np.ldexp(rows.weights, -2 * exponent))
 
 
 def _bounded(rows: Floats, p: int) -> Floats:

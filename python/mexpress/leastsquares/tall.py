@@ -7,11 +7,13 @@ rows are never held out: it has the same solution, the same leverages, and the s
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress import _core
 from mexpress import _validation as check
@@ -195,14 +197,18 @@ class TallLeastSquares:
         lost = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *undefined]))
         return places.result(residuals, lost, rows)
 
-    def _key(self, scheme: Scheme) -> Floats:
-        """Numbers that tell these rows and a scheme from others."""
+    def _key(self, scheme: Scheme) -> NDArray[np.uint8]:
+        """A digest that tells these rows, a scheme and its parts from others."""
+        told: list[Any] = [self.coefficients, self.fit_rms, self.n_data, _PART, _CELLS]
         if isinstance(scheme, LazyNeighbourhoods):
-            told = [scheme.reach, *scheme.places.points.sum(axis=0)]
+            told += [scheme.how == "within", scheme.reach, scheme.places.points]
         else:
-            both = scheme.held_out.indices, scheme.validated.indices
-            told = [float(np.sum(indices * np.arange(len(indices)))) for indices in both]
-        return np.array([*self.coefficients.ravel(), self.fit_rms, self.n_data, len(scheme), *told])
+            told += [*scheme.held_out.arrays, *scheme.validated.arrays, scheme.visiting_order]
+        digest = hashlib.blake2b(digest_size=16)
+        for each in map(np.asarray, told):
+            digest.update(repr(each.shape).encode())
+            digest.update(np.ascontiguousarray(each).ravel().data)
+        return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _solved(rows: Rows, part: Part, cells: Cells) -> tuple[Floats, Integers]:
