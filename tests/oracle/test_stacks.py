@@ -150,6 +150,16 @@ def test_no_bit_depends_on_threads_or_on_the_other_problems():
         np.testing.assert_array_equal(getattr(few, name), getattr(one, name)[100:103])
 
 
+def test_weights_far_apart_cost_no_digit():
+    """Reflections that do not sort rows lose those of small weight."""
+    A, b = (np.array(each) for each in make([(20, 2)] * 64))
+    weights = np.sort(10.0 ** np.random.default_rng(6).uniform(-6, 6, (64, 20)), axis=1)
+    batch = mx.cross_validate_batch(A, b, s.leave_one_out, weights=weights)
+    for i in range(64):
+        expected = mx.LeastSquares(A[i], b[i], 1, weights[i]).cross_validate(s.leave_one_out(20))
+        np.testing.assert_allclose(batch.residuals[i], expected.residuals, rtol=1e-11)
+
+
 def test_items_are_those_of_a_sequence():
     A, b = (np.array(each) for each in make([(6, 2)] * 4))
     batch = mx.cross_validate_batch(A, b, s.leave_one_out)

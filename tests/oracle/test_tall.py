@@ -64,6 +64,7 @@ def test_predictions_are_those_of_the_fit_in_memory(scheme, coupling, responses,
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
+@pytest.mark.usefixtures("_parts")
 @pytest.mark.parametrize(("coupling", "responses", "weighted"), [(1, None, False), (3, 2, True)])
 def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     A, b, weights = make(coupling, responses, weighted)
@@ -100,6 +101,22 @@ def test_columns_that_few_rows_see_are_undefined_without_these():
     assert (np.abs(found.residuals - expected.residuals)[defined] <= 1e-8 * (1 + scale)).all()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_rank_is_that_of_all_rows(seed):
+    """Columns that add up to others but for the rounding of many rows."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2000, 60_000))
+    group = rng.integers(2, size=n)
+    A = np.column_stack([np.ones(n), group == 0, group == 1]) * rng.uniform(0.1, 10, 3)
+    b = rng.normal(size=n)
+    model, expected = mx.LeastSquares.from_blocks((A, b)), mx.LeastSquares(A, b)
+    assert model.rank == expected.rank == 2
+    np.testing.assert_allclose(model.coefficients, expected.coefficients, rtol=1e-9)
+    np.testing.assert_allclose(model.residuals, expected.residuals, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(model.fit_rms, expected.fit_rms, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("_parts")
 def test_rank_that_is_lost_is_told():
     A, b, _ = make()
     A[:, 4] = A[:, 3] - A[:, 2]
@@ -110,6 +127,7 @@ def test_rank_that_is_lost_is_told():
     assert np.isnan(model.leverage).all()
 
 
+@pytest.mark.usefixtures("_parts")
 @pytest.mark.parametrize("unit", [1e-200, 1e200])
 def test_units_do_not_matter(unit):
     A, b, _ = make()
@@ -117,6 +135,33 @@ def test_units_do_not_matter(unit):
     found = mx.LeastSquares.from_blocks((unit * A, b / unit)).cross_validate(SCHEMES["radius"])
     np.testing.assert_allclose(found.residuals * unit, expected.residuals, rtol=1e-10)
     np.testing.assert_allclose(found.score * unit, expected.score, rtol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1e-300, 1e300])
+@pytest.mark.parametrize("make_blocks", [lambda *arrays: arrays, blocks_of], ids=["arrays", "blocks"])
+def test_units_of_weights_do_not_matter(unit, make_blocks):
+    A, b, weights = make(weighted=True)
+    expected = mx.LeastSquares.from_blocks((A, b, weights))
+    model = mx.LeastSquares.from_blocks(make_blocks(A, b * unit ** (2 / 3), weights * unit))
+    np.testing.assert_allclose(model.coefficients / unit ** (2 / 3), expected.coefficients, rtol=1e-10)
+    for found, same in ((model.fit_rms, expected.fit_rms), (model.press, expected.press)):
+        np.testing.assert_allclose(found / unit ** (2 / 3), same, rtol=1e-10)
+
+
+def test_memory_of_a_block_may_serve_for_the_next_one():
+    A, b, weights = make(weighted=True)
+    memory = tuple(np.empty_like(each[:100]) for each in (A, b, weights))
+
+    def blocks():
+        for first in range(0, N, 100):
+            for each, given in zip(memory, (A, b, weights), strict=True):
+                each[:] = given[first : first + 100]
+            yield memory
+
+    expected = mx.LeastSquares(A, b, weights=weights)
+    model = mx.LeastSquares.from_blocks(blocks())
+    np.testing.assert_allclose(model.fit_rms, expected.fit_rms, rtol=1e-12)
+    np.testing.assert_allclose(model.press, expected.press, rtol=1e-12)
 
 
 def test_no_bit_depends_on_threads(monkeypatch):
@@ -167,6 +212,31 @@ def test_a_call_goes_on_where_another_ended(tmp_path, monkeypatch):
     assert len(parts) == 3 + total - 2, "finished parts were solved again"
     with pytest.raises(ValueError, match=r"^Invalid resume\. .* the same data and the same scheme"):
         model.cross_validate(SCHEMES["each datum"], resume=path)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (s.Places.of(POINTS).lazily_within(5), s.Places.of(POINTS).lazily_nearest(5)),
+        (
+            s.Places.of(np.round(9 * POINTS)).lazily_within(1),
+            s.Places.of(np.round(9 * POINTS[::-1])).lazily_within(1),
+        ),
+        (s.from_sets([[0, 1], [2]], n=N), s.from_sets([[0], [1, 2]], n=N)),
+        (s.from_sets([[0, 1], [2]], [[0], [2]], n=N), s.from_sets([[0, 1], [2]], [[1], [2]], n=N)),
+        (SCHEMES["radius"], s.Scheme(N, SCHEMES["radius"].held_out, SCHEMES["radius"].validated)),
+    ],
+    ids=["how", "points", "ends", "validated", "order"],
+)
+def test_a_file_of_another_scheme_is_refused(one, other, tmp_path):
+    A, b, _ = make()
+    model, path = mx.LeastSquares.from_blocks((A, b)), tmp_path / "parts"
+    path.touch()  # as good as none
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mx.RankLossWarning)
+        model.cross_validate(one, resume=path)
+        with pytest.raises(ValueError, match=r"^Invalid resume\. .* the same data and the same scheme"):
+            model.cross_validate(other, resume=path)
 
 
 def test_progress_is_shown(monkeypatch):
@@ -240,6 +310,8 @@ def spoiled(array):
         ("scheme", "3 data", lambda: mx.LeastSquares.from_blocks(GOOD).cross_validate(s.leave_one_out(3))),
         ("scheme", "None", lambda: mx.LeastSquares.from_blocks(GOOD).cross_validate(None)),
         ("threads", "0", lambda: mx.LeastSquares.from_blocks(GOOD, threads=0)),
+        ("directory", "4", lambda: mx.LeastSquares.from_blocks([GOOD], directory=4)),
+        ("directory", "nowhere", lambda: mx.LeastSquares.from_blocks([GOOD], directory="nowhere")),
     ],
 )
 def test_what_is_wrong_is_told(name, told, call):

@@ -231,6 +231,23 @@ def test_results_of_other_calls_are_not_taken(tmp_path):
     assert run(function=cube) == [0, 1]
 
 
+class Scale:
+    """What a method belongs to."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def times(self, number):
+        """Return a multiple."""
+        return self.factor * number
+
+
+def test_results_of_methods_of_other_objects_are_not_taken(tmp_path):
+    for factor in (2, 3, 2):
+        found = mx.map_problems(Scale(factor).times, [(1,), (2,)], workers=1, resume=tmp_path / "results")
+        assert found == [factor, 2 * factor]
+
+
 def test_a_record_that_was_being_written_is_done_again_and_the_file_is_whole(tmp_path):
     file = tmp_path / "results"
     mx.map_problems(square, [(i,) for i in range(4)], workers=1, resume=file, folder=tmp_path)
@@ -291,3 +308,9 @@ def test_an_interrupted_run_repeats_nothing_that_it_has_told(how, tmp_path):
     )
     assert found == [(i**2, None) for i in range(60)]
     assert not told & set(asked(tmp_path))
+
+
+def test_a_lambda_is_known_by_what_it_does(tmp_path):
+    file = tmp_path / "results"
+    assert mx.map_problems(lambda x: x + 1, [(1,)], workers=1, resume=file) == [2]
+    assert mx.map_problems(lambda x: x + 2, [(1,)], workers=1, resume=file) == [3]

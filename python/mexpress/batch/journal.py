@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import pickle
 import struct
 import zlib
@@ -92,9 +93,10 @@ class Journal:
 
 
 def _name(function: Any) -> Any:
-    """Return what a function is called, or itself, if it has no name: a part of another function, say."""
+    """Return what a function is called, or itself, if that does not tell all: a method of an object, a lambda."""
     name = getattr(function, "__qualname__", None)
-    return function if name is None else (getattr(function, "__module__", None), name)
+    alone = name is None or "<" in name or inspect.ismethod(function)
+    return function if alone else (getattr(function, "__module__", None), name)
 
 
 def _records(file: BinaryIO) -> Iterator[bytes]:

@@ -24,7 +24,7 @@ class Finished:
     path : Path or None
         The file; nothing is kept if it is None.
     key : (k,) array
-        Numbers that tell the work from other work.
+        Numbers that tell the work from other work, whose file is refused.
     count : int
         Arrays of a part.
 
@@ -40,14 +40,14 @@ class Finished:
     """
 
     path: Path | None
-    key: NDArray[np.float64]
+    key: NDArray[Any]
     count: int
 
     def read(self) -> Iterator[tuple[int, Arrays]]:
         """Yield the number and the arrays of each part; then the file is ready for more."""
         if self.path is None:
             return
-        if not self.path.exists():
+        if not self.path.exists() or self.path.stat().st_size == 0:
             with self.path.open("wb") as file:
                 np.save(file, self.key)
             return

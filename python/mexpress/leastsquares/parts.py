@@ -66,7 +66,14 @@ class Part:
 
 
 def predicted(
-    block: Floats, rest: Floats, pairs: Integers, held: Held, coupling: int, columns: int, threads: int
+    block: Floats,
+    rest: Floats,
+    pairs: Integers,
+    held: Held,
+    coupling: int,
+    columns: int,
+    counted: int,
+    threads: int,
 ) -> tuple[Floats, Integers]:
     """Weighted prediction residuals of the validated rows of a part, (t, r), and the pairs that lose rank.
 
@@ -78,13 +85,13 @@ def predicted(
         The triangle of all other rows.
     pairs, held
         Those of the part.
-    coupling, columns, threads : int
-        Rows of a datum, p, and the largest number of threads.
+    coupling, columns, counted, threads : int
+        Rows of a datum, p, all rows, and the largest number of threads.
     """
     rows = np.concatenate([block, rest[rest.any(axis=1)]])
     design, responses = (np.ascontiguousarray(each) for each in np.split(rows, [columns], axis=1))
     ends = np.concatenate([np.arange(0, len(block), coupling), np.arange(len(block), len(rows) + 1)])
-    factor = _core.Factor((design, responses, None, np.zeros((0, columns))), threads)
+    factor = _core.Factor((design, responses, None, np.zeros((0, columns))), threads, counted)
     order = np.arange(len(pairs)).view(np.uintp)
     data = IndexSets(ends, np.arange(len(rows)))
     sets = held.search(threads) if isinstance(held, Around) else held

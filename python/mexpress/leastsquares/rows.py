@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Self
 
 import numpy as np
@@ -31,7 +31,7 @@ class Rows:
     b : (m,) or (m, r) array
         Responses.
     weights : (n,) array or None
-        Weights of the data.
+        Weights of the data, near one: fits and scores depend on their ratios alone.
     coupling : int
         Rows of a datum.
 
@@ -93,6 +93,10 @@ class Rows:
             else np.sqrt(self.weights[rows // self.coupling, None])
         )
 
+    def weighing(self, exponent: int) -> Self:
+        """With weights over a power of four, so that their roots times rows neither over- nor underflow."""
+        return self if self.weights is None else replace(self, weights=np.ldexp(self.weights, -2 * exponent))
+
     def take(self, rows: Integers) -> Floats:
         """Return some weighted rows of ``[A, b]``, (k, p + r)."""
         together = np.empty((len(rows), self.columns + self.responses))
@@ -135,17 +139,20 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
     """
     if isinstance(blocks, tuple):
         rows = Rows.checked(blocks, coupling)
+        rows = rows.weighing(exponent_of(rows.weights))
         for some in rows.blocks():
             each(bounded(rows.take(some), rows.columns))
         return rows
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Iterable):
         check.refuse("blocks", _RULE, check.describe(blocks), TypeError)
+    if directory is not None and not check.path(directory, "directory").is_dir():
+        check.refuse("directory", "It must be a folder.", str(directory))
     with tempfile.TemporaryFile(dir=directory) as file:  # its pages stay as long as they are mapped
         first, weights = _written(blocks, coupling, file, each)
         together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
     b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
     shares = expect_weights(np.concatenate(weights), len(b) // coupling) if weights else None
-    return Rows(together[:, : first.columns], b, shares, coupling)
+    return Rows(together[:, : first.columns], b, shares, coupling).weighing(exponent_of(first.weights))
 
 
 def _written(
@@ -156,19 +163,25 @@ def _written(
     first = None
     for given in blocks:
         rows = Rows.checked(given, g)
-        first = first or rows
+        if first is None:  # the memory of a block may serve for the next one
+            first = replace(rows, weights=None if rows.weights is None else rows.weights.copy())
         alike = rows.A.shape[1:] == first.A.shape[1:] and rows.b.shape[1:] == first.b.shape[1:]
         if not alike or (rows.weights is None) != (first.weights is None):
             rule = "All must be of as many columns and responses, with weights or without."
             check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
         plain = bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
         file.write(plain.data)
-        weights += [] if rows.weights is None else [rows.weights]
-        each(plain * rows.roots(np.arange(len(plain))))
+        weights += [] if rows.weights is None else [rows.weights.copy()]
+        each(plain * rows.weighing(exponent_of(first.weights)).roots(np.arange(len(plain))))
     if first is None:
         check.refuse("blocks", _RULE, "none")
     file.flush()
     return first, weights
+
+
+def exponent_of(weights: Floats | None) -> int:
+    """Exponent of a power of four that brings weights near one."""
+    return 0 if weights is None else int(np.frexp(weights.max())[1]) // 2
 
 
 def bounded(rows: Floats, p: int) -> Floats:

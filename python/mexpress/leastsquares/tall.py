@@ -7,11 +7,13 @@ rows are never held out: it has the same solution, the same leverages, and the s
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mexpress import _core
 from mexpress import _validation as check
@@ -23,7 +25,7 @@ from mexpress.leastsquares.cross_validation import CrossValidation, expect_schem
 from mexpress.leastsquares.dask_rows import DaskRows
 from mexpress.leastsquares.finished import Finished
 from mexpress.leastsquares.parts import Part, Parts, data_order, predicted
-from mexpress.leastsquares.rows import Rows, rows_of
+from mexpress.leastsquares.rows import Rows, exponent_of, rows_of
 from mexpress.progress import shown
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
@@ -79,6 +81,7 @@ class TallLeastSquares:
         workers, g, stack = check.threads(threads), check.count(coupling, "coupling", 1), [np.zeros((0, 0))]
         if DaskRows.have(blocks):
             dask_rows = DaskRows.checked(blocks, g)
+            dask_rows = dask_rows.weighing(exponent_of(dask_rows.weights))
             return cls(dask_rows, dask_rows.triangle(DaskRows.threads(threads)))
 
         def reduce(rows: Floats) -> None:
@@ -95,7 +98,7 @@ class TallLeastSquares:
     @cached_property
     def _whole(self) -> _core.Factor:
         """The fit of the triangle of all rows."""
-        return _fit_of(self._triangle, self._rows.columns, check.threads(None))
+        return _fit_of(self._triangle, self._rows.columns, len(self._rows.A), check.threads(None))
 
     @property
     def coefficients(self) -> Floats:
@@ -105,7 +108,7 @@ class TallLeastSquares:
 
     @property
     def rank(self) -> int:
-        """Rank of the design with columns scaled to unit length."""
+        """Rank of the design with columns scaled to unit length, by the rule of `numpy.linalg.matrix_rank`."""
         return self._whole.rank
 
     @property
@@ -133,7 +136,8 @@ class TallLeastSquares:
     def leverage(self) -> Floats:
         """The diagonal of the hat matrix, (m,); NaN if rank is lost."""
         rows = self._rows
-        calls = ((some, self._triangle, rows.columns, rows.threads(None)) for some in rows.blocks())
+        size = rows.columns, len(rows.A), rows.threads(None)
+        calls = ((some, self._triangle, *size) for some in rows.blocks())
         return np.concatenate([*rows.each(_leverage, calls)])
 
     def cross_validate(
@@ -210,14 +214,18 @@ class TallLeastSquares:
         lost = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *undefined]))
         return places.result(residuals, lost, rows)
 
-    def _key(self, scheme: Scheme) -> Floats:
-        """Numbers that tell these rows and a scheme from others."""
+    def _key(self, scheme: Scheme) -> NDArray[np.uint8]:
+        """A digest that tells these rows, a scheme and its parts from others."""
+        told: list[Any] = [self.coefficients, self.fit_rms, self.n_data, _PART, _CELLS, _CELL]
         if isinstance(scheme, LazyNeighbourhoods):
-            told = [scheme.reach, *scheme.places.points.sum(axis=0)]
+            told += [scheme.how == "within", scheme.reach, scheme.places.points]
         else:
-            both = scheme.held_out.indices, scheme.validated.indices
-            told = [float(np.sum(indices * np.arange(len(indices)))) for indices in both]
-        return np.array([*self.coefficients.ravel(), self.fit_rms, self.n_data, len(scheme), *told])
+            told += [*scheme.held_out.arrays, *scheme.validated.arrays, scheme.visiting_order]
+        digest = hashlib.blake2b(digest_size=16)
+        for each in map(np.asarray, told):
+            digest.update(repr(each.shape).encode())
+            digest.update(np.ascontiguousarray(each).ravel().data)
+        return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _call(rows: Rows, part: Part, cells: Cells) -> tuple[Any, ...]:
@@ -227,19 +235,21 @@ def _call(rows: Rows, part: Part, cells: Cells) -> tuple[Any, ...]:
         rule = "Its pairs must hold out data near each other, or each datum once and a small share of all."
         given = f"pairs that hold out data among {len(part.data)} of {rows.n_data}"
         check.refuse("scheme", rule, given)
-    others = part.pairs, part.held, rows.coupling, rows.columns, cells.threads
+    others = part.pairs, part.held, rows.coupling, rows.columns, len(rows.A), cells.threads
     return rows.of(part.data), cells.rest(part.cells), *others
 
 
-def _fit_of(triangle: Floats, columns: int, threads: int) -> _core.Factor:
-    """The fit of the rows of a triangle."""
+def _fit_of(triangle: Floats, columns: int, counted: int, threads: int) -> _core.Factor:
+    """The fit of the rows of a triangle, which stands for so many."""
     A, b = (np.ascontiguousarray(each) for each in np.split(triangle, [columns], axis=1))
-    return _core.Factor((A, b, None, A[:0]), threads)
+    return _core.Factor((A, b, None, A[:0]), threads, counted)
 
 
-def _leverage(block: Floats, triangle: Floats, columns: int, threads: int) -> Floats:
+def _leverage(block: Floats, triangle: Floats, columns: int, counted: int, threads: int) -> Floats:
     """The leverage of some rows in the fit of a triangle."""
-    over = _fit_of(triangle, columns, threads).over_basis(np.ascontiguousarray(block[:, :columns]), threads)
+    over = _fit_of(triangle, columns, counted, threads).over_basis(
+        np.ascontiguousarray(block[:, :columns]), threads
+    )
     leverage: Floats = np.square(over).sum(axis=1)
     return leverage
 

@@ -25,6 +25,10 @@ const WIDEST: usize = 8;
 /// Squared lengths of columns between which nothing here over- or underflows.
 const SAFE: [f64; 2] = [1e-200, 1e200];
 
+/// How many times longer than another a row may be, with columns at unit length: reflections that do not sort rows lose
+/// digits of short ones.
+const LONGER: f64 = 1e4;
+
 /// The sum of the squares of `R^-1`, with columns of A at unit length, up to which a problem is far from rank loss.
 const FAR: f64 = 1e14;
 
@@ -105,7 +109,7 @@ impl<'a, S: Simd> Fits<'a, S> {
         (fits, simd.and_m64s(safe, far))
     }
 
-    /// Lengths of the columns, and whether squares of all numbers are in range.
+    /// Lengths of the columns, and whether squares of all numbers are in range, and rows of similar length.
     #[inline(always)]
     fn measure(&mut self, simd: S) -> S::m64s {
         let [least, most] = SAFE.map(|bound| simd.splat_f64s(bound));
@@ -117,7 +121,24 @@ impl<'a, S: Simd> Fits<'a, S> {
         for column in self.residuals.chunks_exact(self.shape.rows) {
             safe = simd.and_m64s(safe, within(simd, least, dot(simd, column, column), most));
         }
-        safe
+        for (unit, length) in self.shares.iter_mut().zip(self.lengths.iter()) {
+            *unit = simd.div_f64s(simd.splat_f64s(1.0), *length);
+        }
+        let [mut shortest, mut longest] = [f64::MAX, 0.0].map(|length| simd.splat_f64s(length));
+        let zero = simd.splat_f64s(0.0);
+        for i in 0..self.shape.rows {
+            let row = self.basis.iter().skip(i).step_by(self.shape.rows).zip(self.shares.iter());
+            let share =
+                |sum, (x, unit): (&S::f64s, &S::f64s)| simd.mul_add_f64s(simd.mul_f64s(*x, *unit), *x, sum);
+            let square = row.fold(zero, share);
+            // Rows of zeros have no digits.
+            let positive = simd.less_than_f64s(zero, square);
+            let shorter = simd.and_m64s(positive, simd.less_than_f64s(square, shortest));
+            shortest = simd.select_f64s(shorter, square, shortest);
+            longest = simd.select_f64s(simd.less_than_f64s(longest, square), square, longest);
+        }
+        let bound = simd.mul_f64s(shortest, simd.splat_f64s(LONGER * LONGER));
+        simd.and_m64s(safe, simd.less_than_f64s(longest, bound))
     }
 
     /// Householder's reflections: R, and their vectors in place of the design.

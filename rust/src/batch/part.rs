@@ -11,11 +11,15 @@ use crate::holdout::residuals::Status;
 use crate::pool::Pool;
 use crate::sets::Sets;
 
-/// Problems that a thread takes at once.
-const AT_ONCE: usize = 64;
+/// Multiply-adds that a thread takes at once, and problems, of which vectors hold eight.
+const AT_ONCE: usize = 10_000_000;
+const MOST_AT_ONCE: usize = 64;
 
 /// Vectors up to which problems side by side stay in a second-level cache of a megabyte.
 const MOST_VECTORS: usize = 1 << 14;
+
+/// Data that all pairs hold out in all, beyond which neighbouring pairs had better share their work.
+const MOST_HELD: f64 = 1e6;
 
 /// The largest response: residuals, which may exceed the responses, must not overflow.
 const LARGEST: f64 = 1e303;
@@ -45,8 +49,10 @@ pub(super) fn cut<'a>(runs: &'a [Run<'a>], found: &'a mut Found) -> Vec<Part<'a>
     let mut number = 0;
     for run in runs.iter().enumerate() {
         let (solution, predictions) = (run.1.columns * run.1.width(), run.1.validated() * run.1.width());
-        for first in (0..run.1.count).step_by(AT_ONCE) {
-            let count = AT_ONCE.min(run.1.count - first);
+        let cost = run.1.rows * run.1.columns * run.1.columns * (1 + run.1.scheme.validated.len() / 64);
+        let most = (AT_ONCE / cost.max(1)).next_multiple_of(8).clamp(8, MOST_AT_ONCE);
+        for first in (0..run.1.count).step_by(most) {
+            let count = most.min(run.1.count - first);
             parts.push(Part {
                 run,
                 first,
@@ -159,7 +165,8 @@ impl Plan {
     /// None if the problems are better solved alone.
     fn new(run: &Run<'_>) -> Option<Self> {
         let shape = run.shape();
-        if run.count == 1 || shape.rows < shape.columns || shape.vectors() > MOST_VECTORS {
+        let many = run.scheme.held.mean() * run.scheme.validated.len() as f64 > MOST_HELD;
+        if run.count == 1 || shape.rows < shape.columns || shape.vectors() > MOST_VECTORS || many {
             return None;
         }
         let (mut held, mut validated, mut places, mut ends) =

@@ -23,10 +23,11 @@ fn task_rows(rows: usize) -> usize {
     (rows / 64).next_multiple_of(BLOCK).max(8 * BLOCK)
 }
 
-/// An orthonormal basis of the columns, as many as its rank; none if digits would be lost.
+/// An orthonormal basis of the columns, as many as their rank in so many rows; none if digits would be lost.
 pub(super) fn orthonormal(
     problem: &Problem<'_>,
     scales: &[f64],
+    counted: usize,
     pool: &Pool<'_>,
 ) -> Result<Option<Basis>, Error> {
     let (rows, columns) = (problem.total_rows(), problem.columns);
@@ -56,7 +57,7 @@ pub(super) fn orthonormal(
     })?;
     let residuals = remainder.finish(&basis, projection, pool)?;
     let triangle = triangle(&coarse, &fine, columns, pool)?;
-    let spectrum = Spectrum::new(&triangle, columns, columns, rows, pool)?;
+    let spectrum = Spectrum::new(&triangle, columns, columns, counted, pool)?;
     Ok((spectrum.rank == columns).then_some(Basis { rows: basis, spectrum, residuals }))
 }
 
@@ -252,7 +253,8 @@ mod tests {
         let a = design(300, 9, |_| 1.0);
         let (q, _) = basis(&a, 9, 1).unwrap();
         let pool = Pool::new(1, &NEVER);
-        let (reflected, _) = householder::orthonormal(&problem(&a, 9), &[1.0; 9], &pool).unwrap();
+        let (reflected, _) =
+            householder::orthonormal(&problem(&a, 9), &[1.0; 9], a.len() / 9, &pool).unwrap();
         for (q, other) in q.chunks(9).zip(reflected.chunks(9)) {
             // Of the same columns in the same order; signs are their own.
             q.iter().zip(other).for_each(|(x, y)| assert!((x.abs() - y.abs()).abs() < 1e-13));

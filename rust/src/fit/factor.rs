@@ -38,7 +38,7 @@ impl Problem<'_> {
     }
 
     /// Rows of `[A; Z]`.
-    pub(super) fn total_rows(&self) -> usize {
+    pub(crate) fn total_rows(&self) -> usize {
         self.rows + self.penalty.len() / self.columns
     }
 
@@ -118,12 +118,17 @@ pub(super) struct Basis {
 }
 
 impl Basis {
-    /// Of the columns of a problem, scaled.
-    pub fn new(problem: &Problem<'_>, scales: &[f64], pool: &Pool<'_>) -> Result<Self, Error> {
-        if let Some(basis) = cholesky_qr::orthonormal(problem, scales, pool)? {
+    /// Of the columns of a problem, scaled; the rank is that of so many rows.
+    pub fn new(
+        problem: &Problem<'_>,
+        scales: &[f64],
+        counted: usize,
+        pool: &Pool<'_>,
+    ) -> Result<Self, Error> {
+        if let Some(basis) = cholesky_qr::orthonormal(problem, scales, counted, pool)? {
             return Ok(basis);
         }
-        let (rows, spectrum) = householder::orthonormal(problem, scales, pool)?;
+        let (rows, spectrum) = householder::orthonormal(problem, scales, counted, pool)?;
         let responses = problem.responses.len() / problem.rows;
         let weighted = (weighted_responses(problem, responses), responses);
         let residuals = Residuals::new(weighted, (&rows, spectrum.rank), None, pool)?;
@@ -134,9 +139,14 @@ impl Basis {
 impl Factor {
     /// Factors and fits.
     pub fn new(problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Self, Error> {
+        Self::standing_for(problem, problem.total_rows(), pool)
+    }
+
+    /// Factors and fits rows that stand for more, as a triangle does: the rounding of all of them decides the rank.
+    pub fn standing_for(problem: &Problem<'_>, counted: usize, pool: &Pool<'_>) -> Result<Self, Error> {
         let responses = problem.check()?;
         let Survey { scales, fingerprints } = Survey::new(problem, pool)?;
-        let Basis { rows, spectrum, residuals } = Basis::new(problem, &scales, pool)?;
+        let Basis { rows, spectrum, residuals } = Basis::new(problem, &scales, counted, pool)?;
         let mut factor = Self::fitted(problem, (rows, spectrum.rank), residuals, fingerprints);
         factor.coefficients = spectrum.solve(&factor.projection, responses);
         for column in factor.coefficients.chunks_exact_mut(problem.columns) {

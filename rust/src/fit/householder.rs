@@ -15,10 +15,11 @@ use crate::pool::Pool;
 pub(super) fn orthonormal(
     problem: &Problem<'_>,
     scales: &[f64],
+    counted: usize,
     pool: &Pool<'_>,
 ) -> Result<(Vec<f64>, Spectrum), Error> {
     let leaves = Leaves::factor(problem, scales, pool)?;
-    let top = Top::new(&leaves, pool)?;
+    let top = Top::new(&leaves, counted, pool)?;
     Ok((leaves.basis(&top, pool)?, top.spectrum))
 }
 
@@ -144,7 +145,7 @@ struct Top {
 }
 
 impl Top {
-    fn new(leaves: &Leaves, pool: &Pool<'_>) -> Result<Self, Error> {
+    fn new(leaves: &Leaves, counted: usize, pool: &Pool<'_>) -> Result<Self, Error> {
         let columns = leaves.columns;
         let (stack, height) = leaves.stack();
         let size = height.min(columns);
@@ -153,7 +154,7 @@ impl Top {
             _ => (Vec::new(), Some(Turn::new(stack, height, columns, pool)?)),
         };
         let reflected = turn.as_ref().map_or(&stack, |turn| &turn.reflected);
-        let spectrum = Spectrum::new(reflected, height, columns, leaves.rows, pool)?;
+        let spectrum = Spectrum::new(reflected, height, columns, counted, pool)?;
         let mut basis = vec![0.0; height * spectrum.rank];
         for (j, column) in basis.chunks_exact_mut(height).enumerate() {
             match &spectrum.turn {
@@ -179,7 +180,7 @@ mod tests {
         let never = AtomicBool::new(false);
         let rows = design.len() / columns;
         let problem = Problem { design, responses: &[], root_weights: None, penalty: &[], rows, columns };
-        orthonormal(&problem, &vec![1.0; columns], &Pool::new(threads, &never)).unwrap()
+        orthonormal(&problem, &vec![1.0; columns], rows, &Pool::new(threads, &never)).unwrap()
     }
 
     /// The largest differences of `Q^T Q` from the identity, and of `Q R` from the design.

@@ -56,7 +56,7 @@ impl PenaltyPath {
         let Survey { scales, fingerprints } = Survey::new(&design, pool)?;
         let (basis, triangle) = if rows > TALL * width {
             let alone = Problem { responses: &[], ..design };
-            let Basis { rows, spectrum, .. } = Basis::new(&alone, &scales, pool)?;
+            let Basis { rows, spectrum, .. } = Basis::new(&alone, &scales, alone.total_rows(), pool)?;
             (Some(rows), spectrum.rows())
         } else {
             (None, scaled_rows(problem, &scales, 0..rows))
@@ -183,7 +183,8 @@ impl Common {
             columns,
         };
         // By reflections: from products of matrices, predictions at weights of 1e-7 had three digits less.
-        let (basis, spectrum) = householder::orthonormal(&problem, &vec![1.0; columns], pool)?;
+        let (basis, spectrum) =
+            householder::orthonormal(&problem, &vec![1.0; columns], problem.total_rows(), pool)?;
         let width = spectrum.rank;
         let (above, below) = basis.split_at(rows * width);
         let mut svd = linalg::thin_svd(linalg::transposed(above, width), rows, width, pool)?;

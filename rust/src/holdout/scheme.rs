@@ -43,7 +43,7 @@ impl<'a> Held<'a> {
     }
 
     /// About how many data a pair holds out.
-    pub(super) fn mean(self) -> f64 {
+    pub(crate) fn mean(self) -> f64 {
         match self {
             Self::Sets(sets) => sets.items.len() as f64 / sets.len().max(1) as f64,
             Self::Lazy(lazy) => lazy.mean,

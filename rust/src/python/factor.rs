@@ -27,13 +27,17 @@ pub(super) struct Factor {
 
 #[pymethods]
 impl Factor {
+    /// `counted` tells for how many rows these stand, if they stand for more.
     #[new]
-    fn new(py: Python<'_>, arrays: KeptArrays, threads: usize) -> PyResult<Self> {
+    #[pyo3(signature = (arrays, threads, counted = 0))]
+    fn new(py: Python<'_>, arrays: KeptArrays, threads: usize, counted: usize) -> PyResult<Self> {
         let borrowed = arrays.borrow(py)?;
         let problem = borrowed.problem()?;
         let size = problem.design.len() + problem.penalty.len();
         let cost = 2.0 * (size * problem.columns) as f64;
-        let fit = interruptible(py, cost, threads, |pool| factor::Factor::new(&problem, pool))?;
+        let counted = counted.max(problem.total_rows());
+        let fit =
+            interruptible(py, cost, threads, |pool| factor::Factor::standing_for(&problem, counted, pool))?;
         Ok(Self { fit, arrays })
     }
 
