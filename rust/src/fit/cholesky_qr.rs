@@ -215,7 +215,9 @@ mod tests {
 
     fn basis(design: &[f64], columns: usize, threads: usize) -> Option<(Vec<f64>, Spectrum)> {
         let pool = Pool::new(threads, &NEVER);
-        let found = orthonormal(&problem(design, columns), &vec![1.0; columns], &pool).unwrap();
+        let found =
+            orthonormal(&problem(design, columns), &vec![1.0; columns], design.len() / columns, &pool)
+                .unwrap();
         found.map(|basis| (basis.rows, basis.spectrum))
     }
 
@@ -267,7 +269,8 @@ mod tests {
         let weights: Vec<f64> = (1..=40).map(f64::from).collect();
         let given = Problem { root_weights: Some(&weights), penalty: &z, ..problem(&a, 3) };
         let whole: Vec<f64> = a.iter().enumerate().map(|(k, x)| x * weights[k / 3]).chain(z).collect();
-        let found = orthonormal(&given, &[1.0; 3], &Pool::new(1, &NEVER)).unwrap().unwrap();
+        let found =
+            orthonormal(&given, &[1.0; 3], given.total_rows(), &Pool::new(1, &NEVER)).unwrap().unwrap();
         assert_eq!(found.rows, basis(&whole, 3, 1).unwrap().0);
     }
 
@@ -284,7 +287,9 @@ mod tests {
                 ..problem(&a, 3)
             };
             for threads in [1, 3] {
-                let found = orthonormal(&given, &[1.0; 3], &Pool::new(threads, &NEVER)).unwrap().unwrap();
+                let found = orthonormal(&given, &[1.0; 3], given.total_rows(), &Pool::new(threads, &NEVER))
+                    .unwrap()
+                    .unwrap();
                 let projection = found.residuals.projection;
                 for (k, x) in projection.iter().enumerate() {
                     let (c, j) = (k / 3, k % 3);

@@ -39,7 +39,7 @@ impl Problem<'_> {
 
     /// Rows of `[A; Z]`.
     pub(crate) fn total_rows(&self) -> usize {
-        self.rows + self.penalty.len() / self.columns
+        self.rows + self.penalty.len().checked_div(self.columns).unwrap_or(0)
     }
 
     /// Responses of row `i`; none of a penalty row.
@@ -446,6 +446,17 @@ mod tests {
         example.design.fill(0.0);
         example.penalty.fill(0.0);
         assert_eq!(example.factor().certain_least(), 0.0);
+    }
+
+    /// Columns that differ by the rounding of many rows are one.
+    #[test]
+    fn the_more_rows_a_triangle_stands_for_the_more_is_rounding() {
+        let mut example = Example::new(30, 4, 1);
+        for matrix in [&mut example.design, &mut example.penalty] {
+            matrix.chunks_exact_mut(4).for_each(|row| row[3] = row[1] + 1e-12 * row[3]);
+        }
+        let rank = |counted| Factor::standing_for(&example.problem(), counted, &pool(1)).unwrap().rank;
+        assert_eq!((example.factor().rank, rank(32), rank(1_000_000)), (4, 4, 3));
     }
 
     /// Powers of two, so that no digit changes.
