@@ -28,7 +28,7 @@ from versus import CORES, REST, describe_machine, show, span
 import mexpress as mx
 from mexpress import simulation
 from mexpress.criteria import Scorer
-from mexpress.liftings import lifting
+from mexpress.liftings import tps
 from mexpress.models import design
 from mexpress.paper import table1
 from mexpress.paper.published import CRITERIA, SIZES
@@ -36,7 +36,7 @@ from mexpress.selection import candidates, data
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
     "simulation": [(simulation, "correspondences")],
-    "placement": [(data, "hull"), (lifting, "lloyd")],
+    "placement": [(data, "hull"), (tps, "lloyd")],
     "design": [(data.Matches, "design")],
     "factor": [(design, "LeastSquares")],
     "criteria": [(candidates.CriteriaRequest, "scorer"), (Scorer, "scores")],
@@ -85,7 +85,7 @@ def stages(n: int, number: int, stride: int) -> tuple[float, dict[str, float]]:
                 stack.enter_context(patch.object(where, name, clock.timed(stage, getattr(where, name))))
         for configuration in some:
             if n < max(SIZES):
-                prepared(configuration, n)
+                prepared(configuration, n, setting=table1._SETTING)
             start = time.perf_counter()
             table1.measure(configuration, n, stride)
             total += time.perf_counter() - start

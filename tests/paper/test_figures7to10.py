@@ -106,7 +106,7 @@ def test_a_simulated_embedding_is_a_sheet_with_noise():
 def test_the_embedding_is_a_sheet_of_its_own(monkeypatch):
     """Those of table 1 bend as they must there."""
     module = importlib.import_module(simulation.sheets.__module__)
-    monkeypatch.setattr(module, "_sheets", lambda seed: pytest.fail("table 1's sheets are asked for"))
+    monkeypatch.setattr(module, "_sheets", lambda *_: pytest.fail("table 1's sheets are asked for"))
     assert simulated_embedding(50, seed=0).values.shape == (50, 3)
 
 

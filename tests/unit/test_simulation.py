@@ -6,7 +6,7 @@ from inputs import refused
 from scipy.spatial import ConvexHull, cKDTree
 
 from mexpress import simulation
-from mexpress.simulation import Camera, Configuration, Sheet, correspondences, scene, sheets
+from mexpress.simulation import Camera, Configuration, Setting, Sheet, correspondences, scene, sheets
 from mexpress.simulation.cameras import IMAGE_SIZE
 from mexpress.simulation.developable import _sheets
 from mexpress.simulation.pairs import views
@@ -230,12 +230,53 @@ def test_a_configuration_does_not_depend_on_what_came_before():
             np.testing.assert_array_equal(a, b)
 
 
+def test_without_a_setting_sheets_and_views_are_what_they_were():
+    for configuration in SOME[:3]:
+        whole, again = (
+            arrays(correspondences(configuration, 15, setting=setting)) for setting in (Setting(), Setting(8))
+        )
+        plain = arrays(correspondences(configuration, 15))
+        for a, b, c in zip(whole, again, plain, strict=True):
+            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(a, c)
+
+
+def test_fewer_waves_bend_a_sheet_less_often():
+    turns = [
+        np.mean([np.count_nonzero(np.diff(np.sign(sheet.angles))) for sheet in sheets(0, setting)])
+        for setting in (
+            Setting(waves=2, decay=0.0),
+            Setting(waves=8, decay=0.0),
+            Setting(waves=8, decay=-2.0),
+        )
+    ]
+    assert turns == sorted(turns)
+    assert turns[0] < turns[1] < turns[2]
+
+
+def test_views_are_tilted_and_near_as_the_setting_has_them():
+    def seen(**setting):
+        given = Setting(**setting)
+        every = [view for c in SOME for view in views(c, 0, given)]
+        directions = [np.arccos(camera.rotation[2, 2]) for _, camera in every]
+        return np.array(directions), np.array([camera.translation[2] / camera.focal for _, camera in every])
+
+    frontal, _ = seen(tilt=(0.0, 0.0))
+    np.testing.assert_allclose(frontal, 0, atol=1e-7)
+    tilted, far = seen(tilt=(0.3, 0.2), fill=1.0)
+    assert tilted.max() <= 0.3 + 1e-9
+    assert np.median(tilted) >= 0.2
+    _, near = seen(tilt=(0.3, 0.2), fill=1.5)
+    assert np.mean(near) < 0.8 * np.mean(far)
+
+
 def test_everything_else_differs():
     first = arrays(correspondences(Configuration(1, 2, 0), 15))
     others = {
         "seed": correspondences(Configuration(1, 2, 0), 15, seed=1),
         "view": correspondences(Configuration(1, 2, 1), 15),
         "order": correspondences(Configuration(2, 1, 0), 15),
+        "setting": correspondences(Configuration(1, 2, 0), 15, setting=Setting(waves=7)),
     }
     for other in map(arrays, others.values()):
         for a, b in zip(first, other, strict=True):
@@ -338,6 +379,15 @@ REFUSED = {
     "a sixth view": ("view", lambda: Configuration(0, 1, 5)),
     "true for a view": ("view", lambda: Configuration(0, 1, True)),
     "seed of sheets": ("seed", lambda: sheets("a")),
+    "a number for a setting": ("setting", lambda: correspondences(C, 15, setting=7)),
+    "words for the setting of sheets": ("setting", lambda: sheets(0, "smooth")),
+    "no waves": ("waves", lambda: Setting(waves=0)),
+    "an endless decay": ("decay", lambda: Setting(decay=inf)),
+    "one angle": ("tilt", lambda: Setting(tilt=0.3)),
+    "three angles": ("tilt", lambda: Setting(tilt=(0.3, 0.2, 0.1))),
+    "the smallest angle first": ("tilt", lambda: Setting(tilt=(0.1, 0.3))),
+    "a view from the side": ("tilt", lambda: Setting(tilt=(1.6, 0.3))),
+    "no distance": ("fill", lambda: Setting(fill=0.0)),
     "beside the sheet": ("points", lambda: sheets()[0]([[0.81, 0]])),
     "nan on the sheet": ("points", lambda: sheets()[0]([[nan, 0]])),
     "normals of points in space": ("points", lambda: sheets()[0].normals([[0, 0, 0]])),

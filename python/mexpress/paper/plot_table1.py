@@ -131,7 +131,7 @@ def plot_selections(comparisons: Sequence[Comparison], path: PathLike | None = N
         _spans(below, cells, "fit")
         above.set_title(f"n = {n}", fontsize=11)
         above.set_xlabel("selected number of control points")
-        below.set_xlabel("FIT there, in pixels")
+        below.set_xlabel("FIT there, in the paper's unit")
         below.set_xscale("log", subs=(2, 5))
         below.xaxis.set_major_formatter("{x:g}")
         below.xaxis.set_minor_formatter("{x:g}")

@@ -22,10 +22,10 @@ from mexpress.io.records import Records
 from mexpress.paper.experiment import Experiment, Options, Outcome
 from mexpress.paper.plot_table1 import plot_mean_curves, plot_selections
 from mexpress.paper.published import CRITERIA, SIZES
-from mexpress.paper.table1_cells import Comparison, Curves, compared, table
+from mexpress.paper.table1_cells import Comparison, Curves, compared, fit_scale, table
 from mexpress.paper.table1_claims import claims
 from mexpress.selection import WarpSelection, largest_count, select_warp
-from mexpress.simulation import Configuration, Correspondences
+from mexpress.simulation import Configuration, Correspondences, Setting
 
 _CURVES = "table1-curves.csv"
 _NAMES = ("FIT", *CRITERIA, "TEST")
@@ -33,6 +33,11 @@ _KEY: dict[str, type[int]] = {"source": int, "target": int, "view": int, "n": in
 
 _QUICK = {15: (7, 1), 30: (11, 1), 150: (31, 4), 500: (59, 8)}
 """By number of correspondences: a quick run takes every so many configurations, and numbers of control points."""
+
+_SETTING = Setting(waves=7, decay=0.0, tilt=(0.5, 0.0), fill=1.5)
+_NOISE = 0.5
+"""How sheets bend and are seen, and the noise in pixels of every coordinate, of which a match's four together have one:
+fitted to the row TEST of the paper's table alone."""
 
 Task = tuple[Configuration, tuple[int, ...]]
 Row = tuple[float, ...]
@@ -64,7 +69,7 @@ def measure(configuration: Configuration, n: int, stride: int = 1, seed: int = 0
     >>> [int(row[4]) for row in rows]
     [3, 4, 5, 6, 7]
     """
-    matches = simulation.correspondences(configuration, n, seed=seed)
+    matches = simulation.correspondences(configuration, n, _NOISE, seed, _SETTING)
     selection = select_warp(
         matches.source,
         matches.target,
@@ -120,7 +125,8 @@ def _tasks(quick: bool) -> list[Task]:
 
 def _computed(options: Options) -> dict[int, Curves]:
     """Compute what the directory lacks, and return the curves by number of correspondences."""
-    run = {"experiment": "table1", "seed": options.seed, "quick": options.quick}
+    simulated = {"setting": repr(_SETTING), "noise": _NOISE}
+    run = {"experiment": "table1", "seed": options.seed, "quick": options.quick, **simulated}
     columns = {**_KEY, "count": int, **dict.fromkeys(_NAMES, float)}
     strides = {n: stride if options.quick else 1 for n, (_, stride) in _QUICK.items()}
     with Records(options.out / _CURVES, run, columns, len(_KEY)) as records:
@@ -166,6 +172,7 @@ def _table1(options: Options) -> Outcome:
         write_rows(file, _CELL_COLUMNS, map(_cell_row, comparisons))
     lines = [
         _described(curves),
+        _unit(curves),
         "mean ± standard deviation; ! our mean is not within the paper's standard deviation of its mean\n",
         table(comparisons),
         "",
@@ -178,6 +185,7 @@ def _table1(options: Options) -> Outcome:
     ]
     summary = {
         "problems": _problems(curves),
+        "fit_scale": fit_scale(curves),
         "cells": [_cell_summary(comparison) for comparison in comparisons],
         "agreement": agreement,
         "claims": [asdict(claim) for claim in judged],
@@ -213,7 +221,13 @@ def _problems(curves: Mapping[int, Curves]) -> dict[str, int]:
 
 def _described(curves: Mapping[int, Curves]) -> str:
     numbers = ", ".join(f"{number} of n = {n}" for n, number in _problems(curves).items())
-    return f"Simulated pairs of images: {numbers} correspondences with noise of 1 pixel."
+    noise = f"noise of {_NOISE:g} pixels in each of its four coordinates"
+    return f"Simulated pairs of images: {numbers} correspondences, each with {noise}."
+
+
+def _unit(curves: Mapping[int, Curves]) -> str:
+    factor = f"{fit_scale(curves):.2f}"
+    return f"FIT is in pixels times {factor}: one factor for all cells, fitted to the row TEST."
 
 
 def _figure2(options: Options) -> Outcome:
@@ -243,8 +257,14 @@ def _figure3(options: Options) -> Outcome:
     curves = _computed(options)
     comparisons = compared(curves)
     plots = {"figure3.png": lambda path: plot_selections(comparisons, path)}
-    summary = {"problems": _problems(curves), "cells": [_cell_summary(c) for c in comparisons]}
-    return Outcome(f"{_described(curves)}\n\n{table(comparisons)}", summary, [_CURVES], plots)
+    summary = {
+        "problems": _problems(curves),
+        "fit_scale": fit_scale(curves),
+        "cells": [_cell_summary(c) for c in comparisons],
+    }
+    return Outcome(
+        f"{_described(curves)}\n{_unit(curves)}\n\n{table(comparisons)}", summary, [_CURVES], plots
+    )
 
 
 _ON_SHEETS = "on 450 simulated pairs of bent sheets"

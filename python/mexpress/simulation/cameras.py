@@ -19,9 +19,6 @@ SENSOR = 35.0
 FOCAL = (20.0, 50.0)
 """Focal lengths in millimetres."""
 
-FILL = 1.6
-"""The nearest camera with the whole sheet in view is this many times farther: the sheet fills the view."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera:

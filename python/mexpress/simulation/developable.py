@@ -17,6 +17,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.simulation.cameras import FOCAL, facing, look
+from mexpress.simulation.settings import DEFAULT, Setting, checked_setting
 
 COUNT = 10
 """Number of sheets in a set, as in the paper."""
@@ -29,12 +30,6 @@ RULINGS = 400
 
 BEND = (2.2, 2.4)
 """Smallest and largest initial bending in a set: the range of the angle of a sheet's normal, in radians."""
-
-WAVES = 8
-"""Number of half waves of the normal along the width, for its shortest wave."""
-
-DECAY = -0.5
-"""Amplitudes of the normal's waves fall with this power of their number (so they rise)."""
 
 SKEW = 0.1
 """Amplitude of the waves in the logarithm of the spacing of rulings, on either edge."""
@@ -289,13 +284,15 @@ def _rotation(axis: Floats, angle: float) -> Floats:
     )
 
 
-def sheets(seed: int = 0) -> tuple[Sheet, ...]:
+def sheets(seed: int = 0, setting: Setting = DEFAULT) -> tuple[Sheet, ...]:
     """Ten sheets, each with its own random bending.
 
     Parameters
     ----------
     seed : int, default 0
         The same seed gives the same sheets.
+    setting : Setting, optional
+        How they bend.
 
     Returns
     -------
@@ -305,7 +302,7 @@ def sheets(seed: int = 0) -> tuple[Sheet, ...]:
     Raises
     ------
     ValueError, TypeError
-        If the seed is not a whole number of at least 0.
+        If the seed is not a whole number of at least 0, or the setting is none.
 
     Examples
     --------
@@ -314,27 +311,27 @@ def sheets(seed: int = 0) -> tuple[Sheet, ...]:
     >>> len(ten), ten[0]([[0.2, 0.1]]).shape
     (10, (1, 3))
     """
-    return _sheets(check.count(seed, "seed", 0))
+    return _sheets(check.count(seed, "seed", 0), checked_setting(setting))
 
 
 @lru_cache(maxsize=8)
-def _sheets(seed: int) -> tuple[Sheet, ...]:
+def _sheets(seed: int, setting: Setting) -> tuple[Sheet, ...]:
     bends = np.linspace(*BEND, COUNT)
-    return tuple(_sheet(seed, index, float(bend)) for index, bend in enumerate(bends))
+    return tuple(_sheet(seed, index, float(bend), setting) for index, bend in enumerate(bends))
 
 
-def _sheet(seed: int, index: int, bend: float) -> Sheet:
+def _sheet(seed: int, index: int, bend: float, setting: Setting) -> Sheet:
     """The first random sheet that a camera sees completely from the front."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, index)))
     while True:
-        sheet = _random_sheet(rng, bend)
+        sheet = _random_sheet(rng, bend, setting)
         frontal = look(sheet.samples[0], np.eye(3), FOCAL[0])
         if facing(*sheet.samples, frontal) > MARGIN:
             return sheet
         bend *= 0.97  # so the number of draws is bounded
 
 
-def _random_sheet(rng: np.random.Generator, bend: float) -> Sheet:
+def _random_sheet(rng: np.random.Generator, bend: float, setting: Setting) -> Sheet:
     turn = float(rng.uniform(0, np.pi))
     half = float(np.abs([np.cos(turn), np.sin(turn)]) @ (WIDTH, HEIGHT)) / 2
     lower, upper = (half * _increasing(rng) for _ in range(2))
@@ -342,7 +339,7 @@ def _random_sheet(rng: np.random.Generator, bend: float) -> Sheet:
     strips = flat.strips(flat.border())
     # The bending is within the sheet, not in the corners of the box.
     time = (np.arange(RULINGS + 1) - strips.min()) / np.ptp(strips)
-    normal = _waves(rng, np.clip(time, 0, 1) * 2 * half / WIDTH, WAVES, DECAY)
+    normal = _waves(rng, np.clip(time, 0, 1) * 2 * half / WIDTH, setting.waves, setting.decay)
     return Sheet(lower, upper, np.diff(normal) * bend / np.ptp(normal), turn)
 
 

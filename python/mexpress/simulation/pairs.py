@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats
-from mexpress.simulation.cameras import FILL, FOCAL, IMAGE_SIZE, Camera, in_frame
+from mexpress.simulation.cameras import FOCAL, IMAGE_SIZE, Camera, in_frame
 from mexpress.simulation.developable import COUNT, Sheet, sheets
 from mexpress.simulation.poses import random_camera
+from mexpress.simulation.settings import DEFAULT, Setting, checked_setting
 
 VIEWS = 5
 """Number of views (poses and focal lengths) of each pair of sheets."""
@@ -102,7 +103,7 @@ def configurations() -> list[Configuration]:
 
 
 def correspondences(
-    configuration: Configuration, n: int, noise: float = 1.0, seed: int = 0
+    configuration: Configuration, n: int, noise: float = 1.0, seed: int = 0, setting: Setting = DEFAULT
 ) -> Correspondences:
     """Matches between the images of two sheets.
 
@@ -119,6 +120,8 @@ def correspondences(
         Standard deviation in pixels of every coordinate of every image point in both images.
     seed : int, default 0
         Seed of the sheets, the views, the points and the noise.
+    setting : Setting, optional
+        How the sheets bend, and how the cameras see them.
 
     Returns
     -------
@@ -141,17 +144,18 @@ def correspondences(
     n, seed = check.count(n, "n", 1), check.count(seed, "seed", 0)
     noise = check.number(noise, "noise", "It must be a number of at least 0.", 0.0)
     where = (configuration.source, configuration.target, configuration.view)
-    return match(views(configuration, seed), n, noise, stream(seed, 2, *where, n))
+    return match(views(configuration, seed, checked_setting(setting)), n, noise, stream(seed, 2, *where, n))
 
 
 @lru_cache(maxsize=8)
-def views(configuration: Configuration, seed: int) -> Views:
+def views(configuration: Configuration, seed: int, setting: Setting = DEFAULT) -> Views:
     """Both sheets with their cameras, cached for problems of several sizes."""
     rng = stream(seed, 1, configuration.source, configuration.target, configuration.view)
     focal = float(rng.uniform(*FOCAL))
+    every = sheets(seed, setting)
     source, target = (
-        (sheet, random_camera(sheet, focal, rng, fill=FILL))
-        for sheet in (sheets(seed)[configuration.source], sheets(seed)[configuration.target])
+        (sheet, random_camera(sheet, focal, rng, fill=setting.fill, tilt=setting.tilt))
+        for sheet in (every[configuration.source], every[configuration.target])
     )
     return source, target
 

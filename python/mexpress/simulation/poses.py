@@ -7,9 +7,7 @@ import numpy as np
 from mexpress._validation import Floats
 from mexpress.simulation.cameras import Camera, facing, look
 from mexpress.simulation.developable import Sheet
-
-TILT = (0.8, 0.3)
-"""Largest and smallest angle in radians between the optical axis and the sheet's mean normal."""
+from mexpress.simulation.settings import DEFAULT
 
 ROLL = 0.1
 """Largest rotation of the sheet in the image, in radians."""
@@ -45,19 +43,24 @@ def is_simple(polygon: Floats) -> bool:
 
 
 def random_camera(
-    sheet: Sheet, focal: float, rng: np.random.Generator, affine: bool = False, fill: float = 1.0
+    sheet: Sheet,
+    focal: float,
+    rng: np.random.Generator,
+    affine: bool = False,
+    fill: float = 1.0,
+    tilt: tuple[float, float] = DEFAULT.tilt,
 ) -> Camera:
     """A camera that sees a sheet completely from a random direction; from the front if no such direction is found."""
     for share in np.sqrt(np.linspace(1, 0, DRAWS)):
-        camera = look(sheet.samples[0], _random_rotation(rng, share), focal, affine, fill)
+        camera = look(sheet.samples[0], _random_rotation(rng, share, tilt), focal, affine, fill)
         if visible(sheet, camera):
             break
     return camera
 
 
-def _random_rotation(rng: np.random.Generator, share: float) -> Floats:
+def _random_rotation(rng: np.random.Generator, share: float, limits: tuple[float, float]) -> Floats:
     """A tilt about a random axis in the image after a roll, both scaled by a share of their limits."""
-    tilt = np.arccos(rng.uniform(*np.cos(share * np.array(TILT))))
+    tilt = np.arccos(rng.uniform(*np.cos(share * np.array(limits))))
     roll, axis = share * rng.uniform(-ROLL, ROLL), rng.uniform(0, 2 * np.pi)
     turned = _about_z(axis)
     cosine, sine = np.cos(tilt), np.sin(tilt)

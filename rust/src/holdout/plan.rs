@@ -140,7 +140,8 @@ pub(super) fn hat_pays(chains: &[Chain<'_>], schemes: &[Scheme<'_>], factor: &Fa
     for chain in chains {
         for step in 0..chain.length {
             let size = |&s: &usize| rows.total(held[s].get(chain.pair(step))) as f64;
-            let sizes: Vec<f64> = chain.schemes.iter().map(size).collect();
+            let mut sizes: Vec<f64> = chain.schemes.iter().map(size).collect();
+            sizes.sort_by(f64::total_cmp);
             with += lead(&sizes, chain.order.is_some(), factor.rank, true).1;
             without += lead(&sizes, chain.order.is_some(), factor.rank, false).1;
         }

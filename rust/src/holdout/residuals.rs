@@ -212,7 +212,13 @@ impl Question for LastModel<'_> {
         true
     }
 
-    fn together(&self, work: &mut Workspace, at: Visit<'_>, answer: &mut Residuals) -> usize {
+    fn together(
+        &self,
+        work: &mut Workspace,
+        at: Visit<'_>,
+        order: &[usize],
+        answer: &mut Residuals,
+    ) -> usize {
         let Ground { factor, rows, ref hat, .. } = *self.0;
         let (pairs, validated) = (at.chain.schemes.len(), self.0.validated(at));
         let block = rows.total(validated) * factor.responses;
@@ -221,25 +227,28 @@ impl Question for LastModel<'_> {
         if pairs == 1 || block > MOST_CARRIED * factor.responses {
             return 0;
         }
-        let sizes: Vec<f64> = work.members[..pairs].iter().map(|data| rows.total(data) as f64).collect();
+        let sizes: Vec<f64> = order.iter().map(|&k| rows.total(&work.members[k]) as f64).collect();
         let count = lead(&sizes, at.chain.order.is_some(), factor.rank, hat.is_some()).0;
-        if count < 2 || !work.list(self.0, validated, 0..count) {
+        let order = &order[..count];
+        if count < 2 || !work.list(self.0, validated, order) {
             return 0;
         }
         let ends = std::mem::take(&mut work.ends);
         let possible = ends.partition_point(|&q| factor.rank + q <= factor.total_rows);
-        let start = answer.values.len() - pairs * block;
-        let solved =
-            possible == 0 || work.dual(factor, hat.as_ref(), &ends[..possible], &mut answer.values[start..]);
+        let mut found = vec![f64::NAN; possible * block];
+        let solved = possible == 0 || work.dual(factor, hat.as_ref(), &ends[..possible], &mut found);
         work.ends = ends;
         if !solved {
             return 0;
         }
-        for k in 0..possible {
-            answer.accept(factor, work, (k, pairs), work.least[k]);
-        }
-        for k in possible..count {
-            *answer.slot(factor, work, (k, pairs)).1 = Some(Status::Undefined);
+        for (k, &pair) in order.iter().enumerate() {
+            let (out, status) = answer.slot(factor, work, (pair, pairs));
+            if k < possible {
+                out.copy_from_slice(&found[k * block..(k + 1) * block]);
+                answer.accept(factor, work, (pair, pairs), work.least[k]);
+            } else {
+                *status = Some(Status::Undefined);
+            }
         }
         count
     }
@@ -385,6 +394,38 @@ mod tests {
                 (found.offsets.len(), found.offsets.last()),
                 (found.status.len() + 1, Some(&listed.len()))
             );
+        }
+    }
+
+    #[test]
+    fn balls_of_which_now_one_and_now_the_other_is_larger_are_solved_together() {
+        let example = Example::new(66, 30, 2);
+        let (rows, alone): (Sets, _) = ((0..33).map(|i| vec![i, 33 + i]).collect(), singletons(33));
+        let changing: Sets = (0..33).map(|i| windows(33, [1, 3][i % 2]).get(i).to_vec()).collect();
+        let steady = windows(33, 2);
+        let found = predict(&example, &[(&changing, &alone, None), (&steady, &alone, None)], &rows, 2);
+        let expected: Vec<f64> = [&changing, &steady]
+            .iter()
+            .flat_map(|held| (0..33).map(move |i| (held.get(i), i)))
+            .flat_map(|(held, i)| example.refit(&rows_of(held, &rows), rows.get(i)))
+            .collect();
+        assert_close(&found.residuals, &expected, 1e-11);
+        let factor = example.factor();
+        let schemes = [&changing, &steady].map(|held| Scheme {
+            held: Held::Sets(held),
+            validated: &alone,
+            order: None,
+        });
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &rows, hat: None };
+        let (chains, mut work) = (plan::chains(&schemes), Workspace::new(33));
+        for step in [10, 11] {
+            work.members = chains[0].schemes.iter().map(|&s| ground.members(s, step)).collect();
+            let first = usize::from(work.members[1].len() < work.members[0].len());
+            let at = Visit { chain: &chains[0], step, k: 0 };
+            let mut together = |order: [usize; 2]| {
+                LastModel(&ground).together(&mut work, at, &order, &mut Residuals::default())
+            };
+            assert_eq!([together([first, 1 - first]), together([1 - first, first])], [2, 0]);
         }
     }
 

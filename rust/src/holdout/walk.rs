@@ -3,8 +3,6 @@
 //! At a step all pairs of a chain are solved, those that hold out less first. What is asked of them, the residuals of one
 //! model or the scores of all leading ones, is the [`Question`].
 
-use std::ops::Range;
-
 use crate::error::Error;
 use crate::fit::factor::Factor;
 use crate::holdout::gram::Gram;
@@ -61,8 +59,8 @@ pub(super) trait Question: Sync {
         false
     }
 
-    /// Solves the first pairs of a step together, in the dual, and tells how many.
-    fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &mut Self::Answer) -> usize {
+    /// Solves pairs of a step together, in the dual, the first of the chain's `order`, and tells how many.
+    fn together(&self, _: &mut Workspace, _: Visit<'_>, _: &[usize], _: &mut Self::Answer) -> usize {
         0
     }
 
@@ -147,6 +145,8 @@ pub(super) struct Workspace {
     pub(super) last: Vec<LastPair<Gram>>,
     /// Data that each pair of the step holds out.
     pub(super) members: Vec<Vec<usize>>,
+    /// The pairs of the step, those that hold out less first: on average a chain has them so, but not around every datum.
+    order: Vec<usize>,
     /// By datum, when it was last listed.
     stamps: Vec<u64>,
     now: u64,
@@ -174,6 +174,7 @@ impl Workspace {
             system: Bordered::default(),
             last: Vec::new(),
             members: vec![Vec::new()],
+            order: Vec::new(),
             stamps: vec![0; data],
             now: 0,
             slide: SetChange::default(),
@@ -212,9 +213,17 @@ impl Workspace {
         for (&s, members) in at.chain.schemes.iter().zip(&mut self.members) {
             ground.schemes[s].held.members(pair, members);
         }
-        for k in question.together(self, at, answer)..at.chain.schemes.len() {
+        let mut order = std::mem::take(&mut self.order);
+        order.clear();
+        order.extend(0..at.chain.schemes.len());
+        order.sort_by_key(|&k| self.members[k].len());
+        let together = question.together(self, at, &order, answer);
+        for k in 0..at.chain.schemes.len() {
+            if order[..together].contains(&k) {
+                continue;
+            }
             let at = Visit { k, ..at };
-            self.list(ground, ground.validated(at), k..k + 1);
+            self.list(ground, ground.validated(at), &[k]);
             let inner = self.find_change(k);
             let changed = if inner { &self.ring } else { &self.slide }.len().min(self.members[k].len());
             let rows = changed as f64 * self.rows.len() as f64 / self.members[k].len().max(1) as f64;
@@ -227,10 +236,11 @@ impl Workspace {
                 question.primal(self, at, pool, answer);
             }
         }
+        self.order = order;
     }
 
-    /// Lists the rows of pairs that validate the same data. False if they do not nest.
-    pub(super) fn list(&mut self, ground: &Ground<'_>, validated: &[usize], pairs: Range<usize>) -> bool {
+    /// Lists the rows of pairs that validate the same data. False if they do not nest in this order.
+    pub(super) fn list(&mut self, ground: &Ground<'_>, validated: &[usize], pairs: &[usize]) -> bool {
         let Self { rows, stamps, members, ends, .. } = self;
         self.now += 1;
         rows.clear();
@@ -249,7 +259,8 @@ impl Workspace {
             add(rows, datum);
         }
         self.validated = rows.len();
-        for members in &members[pairs] {
+        for &pair in pairs {
+            let members = &members[pair];
             let count = members.iter().fold(0, |_, &datum| add(rows, datum));
             nest &= count == members.len();
             ends.push(rows.len());
@@ -294,7 +305,7 @@ impl Workspace {
     pub(super) fn list_pair(&mut self, ground: &Ground<'_>, s: usize, pair: usize) {
         let scheme = &ground.schemes[s];
         scheme.held.members(pair, &mut self.members[0]);
-        self.list(ground, scheme.validated.get(pair), 0..1);
+        self.list(ground, scheme.validated.get(pair), &[0]);
     }
 
     /// How a matrix comes from another pair's to that of the pair at hand, which is listed on its own.
@@ -435,7 +446,7 @@ mod tests {
             // The pair of the larger scheme before, then both pairs of this step.
             for (k, pair) in [(1, from), (0, 11), (1, 11)] {
                 schemes[k].held.members(pair, &mut work.members[k]);
-                work.list(&ground, validated.get(pair), k..k + 1);
+                work.list(&ground, validated.get(pair), &[k]);
                 work.find_change(k);
                 work.update_gram(&ground, k, k == 1 && pair == 11 && ring);
             }
@@ -467,10 +478,43 @@ mod tests {
         let ground = Ground { factor: &factor, schemes: &[], rows: &rows, hat: None };
         let mut work = Workspace::new(4);
         work.members = vec![vec![0, 2], vec![3, 2, 0], vec![2, 1]];
-        assert!(work.list(&ground, &[2], 0..2));
+        assert!(work.list(&ground, &[2], &[0, 1]));
         assert_eq!((&work.rows[..], work.validated), (&[4, 5, 0, 1, 6, 7][..], 2));
         assert_eq!(work.ends, [4, 6]);
-        assert!(!work.list(&ground, &[2], 1..3));
+        assert!(!work.list(&ground, &[2], &[1, 2]));
+    }
+
+    /// The one scheme holds out less around some data, the other around the rest; pairs solved together are not asked again.
+    #[test]
+    fn at_every_step_pairs_are_in_the_order_of_their_own_sizes() {
+        #[derive(Default)]
+        struct Orders(Mutex<(Vec<Vec<usize>>, Vec<usize>)>);
+        impl Question for Orders {
+            type Answer = ();
+
+            fn together(&self, _: &mut Workspace, _: Visit<'_>, order: &[usize], (): &mut ()) -> usize {
+                self.0.lock().unwrap().0.push(order.to_vec());
+                1
+            }
+
+            fn dual(&self, _: &mut Workspace, at: Visit<'_>, _: f64, (): &mut ()) -> bool {
+                self.0.lock().unwrap().1.push(at.k);
+                true
+            }
+
+            fn primal(&self, _: &mut Workspace, _: Visit<'_>, _: &Pool<'_>, (): &mut ()) {}
+        }
+        let (factor, alone) = (Example::new(4, 2, 1).factor(), singletons(4));
+        let one = sets([&[0, 1], &[1, 0, 2], &[2, 3], &[3]]);
+        let other = sets([&[0, 1, 2], &[1, 2], &[2, 3], &[3, 2]]);
+        let schemes = [scheme(&one, &alone, None), scheme(&other, &alone, None)];
+        let ground = Ground { factor: &factor, schemes: &schemes, rows: &alone, hat: None };
+        let chain = Chain { schemes: vec![0, 1], order: None, length: 4 };
+        let orders = Orders::default();
+        walk(&ground, &orders, &[Portion { chain: &chain, steps: 0..4 }], &mut [()], &pool(1)).unwrap();
+        let (orders, asked) = orders.0.into_inner().unwrap();
+        assert_eq!(orders, [[0, 1], [1, 0], [0, 1], [0, 1]]);
+        assert_eq!(asked, [1, 0, 1, 1]);
     }
 
     /// Pairs that hold out the same share the factor.
