@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 import numpy as np
@@ -145,14 +146,23 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
         return rows
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Iterable):
         check.refuse("blocks", _RULE, check.describe(blocks), TypeError)
-    if directory is not None and not check.path(directory, "directory").is_dir():
-        check.refuse("directory", "It must be a folder.", str(directory))
+    _expect_folder(directory)
     with tempfile.TemporaryFile(dir=directory) as file:  # its pages stay as long as they are mapped
         first, weights = _written(blocks, coupling, file, each)
         together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
     b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
     shares = expect_weights(np.concatenate(weights), len(b) // coupling) if weights else None
     return Rows(together[:, : first.columns], b, shares, coupling).weighing(exponent_of(first.weights))
+
+
+def _expect_folder(directory: Any) -> None:
+    rule = "It must be the name of a folder, as a str or a Path."
+    try:
+        if directory is None or Path(directory).is_dir():
+            return
+    except TypeError:
+        check.refuse("directory", rule, check.describe(directory), TypeError)
+    check.refuse("directory", rule, repr(str(directory)))
 
 
 def _written(
