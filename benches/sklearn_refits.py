@@ -6,7 +6,6 @@ Prints a table: the shortest time of each, their ratio, and the largest differen
 """
 
 import argparse
-import time
 import warnings
 from functools import partial
 
@@ -15,26 +14,12 @@ import sklearn.linear_model as refits
 import verde
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.model_selection import KFold, LeaveOneOut, ShuffleSplit, cross_val_predict, cross_val_score
+from timing import shortest
 
 import mexpress as mx
 from mexpress.sklearn import LinearRegression, Ridge, RidgeCV
 
-SLOW = 2.0
-"""What takes more seconds than this is timed once."""
-
 HEAD = "| data | features | what | refits, ms | closed form, ms | times as fast | difference |"
-
-
-def shortest(call, rounds):
-    """Shortest time of a call in seconds, and its result."""
-    best, result = np.inf, None
-    for _ in range(rounds):
-        start = time.perf_counter()
-        result = call()
-        best = min(best, time.perf_counter() - start)
-        if best > SLOW:
-            break
-    return best, result
 
 
 def best_score(model, X, y):

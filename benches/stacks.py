@@ -9,10 +9,10 @@ difference is in the last column.
 
 import argparse
 import os
-import time
 from functools import partial
 
 import numpy as np
+from timing import shortest
 
 import mexpress as mx
 
@@ -20,16 +20,6 @@ FLOPS = 3e7
 """Columns squared times rows, of all problems together, times a hundred: fewer problems where they are large."""
 
 SHAPES = [(60, 6), (60, 20), (200, 6), (200, 20), (500, 30), (300, 60)]
-
-
-def shortest(call, rounds):
-    """Shortest time of a call in seconds, and its result."""
-    best, result = np.inf, None
-    for _ in range(rounds):
-        start = time.perf_counter()
-        result = call()
-        best = min(best, time.perf_counter() - start)
-    return best, result
 
 
 def stacked(A, b, scheme):
@@ -92,7 +82,7 @@ def main():
         ):
             few = slice(0, min(k, 500))
             alone = shortest(partial(loop, A[few], b[few], scheme), 1)[0] / len(A[few])
-            theirs, expected = shortest(partial(stacked, A, b, scheme), 1 if k * m * p > 1e7 else told.rounds)
+            theirs, expected = shortest(partial(stacked, A, b, scheme), told.rounds)
             own = [
                 shortest(partial(mx.cross_validate_batch, A, b, scheme, threads=threads), told.rounds)
                 for threads in told.threads

@@ -280,3 +280,18 @@ def every_scheme(points: Array, seed: int = 0) -> dict:
         "from_splits": s.from_splits(gap, n=n),
         "buffered": s.buffered(s.k_fold(n, min(4, n), seed=seed), points, 0.03 * np.hypot(1920, 1080)),
     }
+
+
+def expect_same_predictions(found, expected):
+    """Compare the predictions of a scheme with those of a fit in memory."""
+    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(found.score, expected.score, rtol=1e-12)
+    for name in ("rows", "pairs", "undefined"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def expect_same_fit(model, expected, rank, n_data):
+    """Compare a fit with that in memory, whose rank and number of data are known."""
+    for name in ("coefficients", "residuals", "leverage", "fit_rms", "press"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-10, atol=1e-13)
+    assert (model.rank, model.n_data) == (rank, n_data)

@@ -42,7 +42,7 @@ from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.geometry import Region, hull, lattice
 from mexpress.geometry import diagonal as _diagonal
-from mexpress.index_sets import IndexSets, compress
+from mexpress.index_sets import IndexSets
 from mexpress.leastsquares.model import LeastSquares, cross_validate_all, datum_of_row, leave_row_out
 from mexpress.leastsquares.nested import Nested, NestedCurve
 from mexpress.schemes import LazyNeighbourhoods, Places, Scheme
@@ -142,8 +142,7 @@ def _thinned(scheme: Scheme) -> Scheme:
     some = np.sort(scheme.visiting_order[np.linspace(0, n - 1, number).round().astype(np.int64)])
     if number == n:
         return scheme
-    held, validated = (compress(sets[pair] for pair in some) for sets in (scheme.held_out, scheme.validated))
-    return Scheme(scheme.n_data, held, validated)
+    return Scheme(scheme.n_data, scheme.held_out.some(some), scheme.validated.some(some))
 
 
 SCHEMES: dict[str, Callable[[float, Domain], Scheme]] = {

@@ -66,6 +66,19 @@ class IndexSets(Sequence[Integers]):
     def __repr__(self) -> str:
         return f"IndexSets({len(self)} sets, {len(self.indices)} indices)"
 
+    def some(self, which: Integers) -> IndexSets:
+        """Some of the sets, in the order in which they are listed.
+
+        Examples
+        --------
+        >>> list(packed([np.array([4, 6]), np.array([1]), np.array([0, 2, 3])]).some(np.array([2, 0])))
+        [array([0, 2, 3]), array([4, 6])]
+        """
+        sizes = self.sizes[which]
+        ends = np.concatenate([[0], np.cumsum(sizes)])
+        members = np.repeat(self.offsets[which] - ends[:-1], sizes) + np.arange(ends[-1])
+        return IndexSets(ends, self.indices[members])
+
     def restricted(self, some: Integers, n: int) -> IndexSets:
         """Sets of places among some of n indices, which increase; other indices are no members."""
         places = np.full(n, -1)

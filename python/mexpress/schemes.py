@@ -20,7 +20,7 @@ from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mexpress import _core
 from mexpress import _validation as check
@@ -127,6 +127,13 @@ class Scheme:
         """Argument for the core: what is held out, and what is validated."""
         held = self.held_out.arrays
         return held, held if self.validated is self.held_out else self.validated.arrays
+
+    @property
+    def arguments(
+        self,
+    ) -> tuple[tuple[CoreSets, CoreSets] | _core.LazyNeighbourhoods, NDArray[np.uintp] | None]:
+        """Arguments for the core: `sets`, and the order if one is known."""
+        return self.sets, None if self.order is None else self.order.view(np.uintp)
 
     @property
     def visiting_order(self) -> Integers:

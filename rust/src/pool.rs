@@ -92,6 +92,13 @@ impl<'a> Pool<'a> {
     }
 }
 
+/// The first numbers of a slice, for one task; the slice keeps the others.
+pub(crate) fn take<'a, T>(rest: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+    let (first, others) = std::mem::take(rest).split_at_mut(count);
+    *rest = others;
+    first
+}
+
 /// Thread pools by process and size.
 type Pools = HashMap<(u32, usize), Option<Arc<ThreadPool>>>;
 
@@ -122,6 +129,15 @@ mod tests {
             Pool::new(threads, &flag).run(done.iter_mut(), || (), |(), d| *d += 1).unwrap();
             assert_eq!(done, vec![1; 100]);
         }
+    }
+
+    #[test]
+    fn tasks_take_their_places_one_after_another() {
+        let mut places = [1, 2, 3, 4];
+        let mut rest = &mut places[..];
+        assert_eq!(take(&mut rest, 1), [1]);
+        assert_eq!(take(&mut rest, 2), [2, 3]);
+        assert_eq!(rest, [4]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from refits import expect_same_fit, expect_same_predictions
 
 import mexpress as mx
 from mexpress.leastsquares import tall
@@ -58,10 +59,7 @@ def test_predictions_are_those_of_the_fit_in_memory(scheme, coupling, responses,
     for blocks in (blocks_of(A, b, weights, coupling), (A, b, weights)):
         model = mx.LeastSquares.from_blocks(blocks, coupling)
         found = model.cross_validate(SCHEMES[scheme])
-        np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-10, atol=1e-11)
-        np.testing.assert_allclose(found.score, expected.score, rtol=1e-12)
-        for name in ("rows", "pairs", "undefined"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        expect_same_predictions(found, expected)
 
 
 @pytest.mark.usefixtures("_parts")
@@ -70,9 +68,7 @@ def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     A, b, weights = make(coupling, responses, weighted)
     expected = mx.LeastSquares(A, b, coupling, weights)
     model = mx.LeastSquares.from_blocks(blocks_of(A, b, weights, coupling), coupling)
-    for name in ("coefficients", "residuals", "leverage", "fit_rms", "press"):
-        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-10, atol=1e-13)
-    assert (model.rank, model.n_data) == (P, N)
+    expect_same_fit(model, expected, P, N)
     assert repr(model).startswith(
         f"TallLeastSquares({N} data, {N * coupling} rows, {P} columns, rank {P}, fit_rms="
     )

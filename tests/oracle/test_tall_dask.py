@@ -1,12 +1,13 @@
 """Fits of dask arrays: the fit in memory is the oracle, by threads and on a cluster of which a process is killed."""
 
-import logging
 import os
 import signal
 from functools import partial
 
 import numpy as np
 import pytest
+from clusters import client_of
+from refits import expect_same_fit, expect_same_predictions
 from test_tall import GOOD, SCHEMES, N, P, make, spoiled
 
 import mexpress as mx
@@ -40,10 +41,7 @@ def test_predictions_are_those_of_the_fit_in_memory(scheme, coupling, responses,
     arrays = spread(A, b, (131, 1, N * coupling - 532, 400))  # a datum of two rows is in two blocks
     model = mx.LeastSquares.from_blocks((*arrays, weights), coupling)
     found = model.cross_validate(SCHEMES[scheme])
-    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-10, atol=1e-11)
-    np.testing.assert_allclose(found.score, expected.score, rtol=1e-12)
-    for name in ("rows", "pairs", "undefined"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    expect_same_predictions(found, expected)
 
 
 @pytest.mark.parametrize(("coupling", "responses", "weighted"), [(1, None, False), (3, 2, True)])
@@ -52,9 +50,7 @@ def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     expected = mx.LeastSquares(A, b, coupling, weights)
     given = weights if weights is None else da.from_array(weights, chunks=100)
     model = mx.LeastSquares.from_blocks((spread(A, b)[0], b, given), coupling)
-    for name in ("coefficients", "residuals", "leverage", "fit_rms", "press"):
-        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-10, atol=1e-13)
-    assert (model.rank, model.n_data) == (P, N)
+    expect_same_fit(model, expected, P, N)
 
 
 def test_some_blocks_are_empty():
@@ -129,14 +125,7 @@ def test_a_call_goes_on_where_another_ended(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def client():
-    distributed = pytest.importorskip("distributed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with (
-        distributed.LocalCluster(
-            n_workers=4, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with client_of(4) as client:
         yield client
 
 

@@ -1,12 +1,12 @@
 """The same by Dask, on a cluster of processes, of which one is killed."""
 
-import logging
 import os
 import signal
 import time
 
 import numpy as np
 import pytest
+from clusters import client_of
 from test_batch_faults import die_always, die_once, done, fail_at_first, root, sleep
 
 import mexpress as mx
@@ -16,14 +16,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]  # Dask w
 
 @pytest.fixture(scope="module")
 def client():
-    distributed = pytest.importorskip("distributed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with client_of(2) as client:
         yield client
 
 

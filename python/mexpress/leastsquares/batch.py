@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,8 +55,8 @@ class BatchCrossValidation(Sequence[CrossValidation]):
     coefficients: Floats | list[Floats]
     residuals: Floats | list[Floats]
     undefined: IndexSets
-    _kinds: list[Kind] = field(repr=False)
-    _kind_of: Integers = field(repr=False)
+    _kinds: list[Kind]
+    _kind_of: Integers
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -175,7 +175,7 @@ def _by_kind(
     for kind, count in zip(kinds, counts, strict=True):
         _, p, width, flat = kind.shape
         solved, coefficients = np.split(coefficients, [count * p * width])
-        predicted, residuals = np.split(residuals, [count * len(kind.places[0]) * width])
+        predicted, residuals = np.split(residuals, [count * kind.n_validated * width])
         if flat:
             yield solved.reshape(count, p), predicted.reshape(count, -1)
         else:

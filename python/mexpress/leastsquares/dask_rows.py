@@ -20,7 +20,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.leastsquares.cells import merged, reduced
-from mexpress.leastsquares.rows import Rows, bounded
+from mexpress.leastsquares.rows import Rows, bounded, weighted
 
 _TOGETHER = 64
 """Pieces of work that are asked for at once, if the arrays have no more blocks: what these need is in memory here."""
@@ -105,7 +105,7 @@ class DaskRows(Rows):
         from dask.delayed import delayed  # noqa: PLC0415  an extra
 
         triangles = [
-            delayed(_triangle)(*block, self._roots(rows), threads)
+            delayed(_triangle)(*block, self.roots(rows), threads)
             for block, rows in zip(self._blocks, self.blocks(), strict=True)
         ]
         while len(triangles) > 1:
@@ -124,10 +124,7 @@ class DaskRows(Rows):
             delayed(_taken)(*self._blocks[k], rows[some] - self._ends[k])
             for k, some in zip(numbers, np.split(order, firsts[1:]), strict=True)
         ]
-        return delayed(_done)(pieces, order, self._roots(rows), work, others)
-
-    def _roots(self, rows: Integers) -> Floats | None:
-        return None if self.weights is None else self.roots(rows)
+        return delayed(_done)(pieces, order, self.roots(rows), work, others)
 
     @cached_property
     def _ends(self) -> Integers:
@@ -168,13 +165,13 @@ def _done(
     """Put pieces together in their order, and do the work."""
     rows = np.empty((len(order), pieces[0].shape[1]))
     rows[order] = np.concatenate(pieces)
-    return work(rows if roots is None else rows * roots, *others)
+    return work(weighted(rows, roots), *others)
 
 
 def _triangle(A: NDArray[Any], b: NDArray[Any], roots: Floats | None, threads: int) -> Floats:
     """The triangle of a block."""
     rows = bounded(_taken(A, b, np.arange(len(A))), A.shape[1])
-    return reduced(rows if roots is None else rows * roots, threads)
+    return reduced(weighted(rows, roots), threads)
 
 
 def _merged(triangles: list[Floats], threads: int) -> Floats:

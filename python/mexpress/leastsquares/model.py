@@ -364,10 +364,9 @@ class LeastSquares:
         self, schemes: Iterable[Scheme], coupling: IndexSets, threads: int | None
     ) -> list[CrossValidation]:
         """Cross-validate by schemes over data that have these rows, in one call, so that the core shares work."""
-        orders = [(s.sets, None if s.order is None else s.order.view(np.uintp)) for s in schemes]
-        workers = check.threads(threads)
+        given, workers = [scheme.arguments for scheme in schemes], check.threads(threads)
         try:
-            found = self._factor.predict(orders, coupling.arrays, workers)
+            found = self._factor.predict(given, coupling.arrays, workers)
         except RuntimeError as error:
             check.refuse("A", "It must not change while the model is in use.", str(error))
         return [

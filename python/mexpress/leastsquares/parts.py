@@ -36,7 +36,7 @@ class Around:
 
     def search(self, threads: int) -> _core.LazyNeighbourhoods:
         """Return what finds them for the core."""
-        return _core.LazyNeighbourhoods.within_around(self.points, self.centres, self.reach, threads)
+        return _core.LazyNeighbourhoods.within(self.points, self.reach, threads, self.centres)
 
 
 Held: TypeAlias = Around | tuple[CoreSets, CoreSets]
@@ -139,8 +139,8 @@ class Parts:
         scheme, pairs = self.scheme, self.pairs[k]
         if isinstance(scheme, LazyNeighbourhoods):
             return self._within(scheme, pairs) if scheme.how == "within" else self._nearest(scheme, pairs)
-        out = _some(scheme.held_out, pairs)
-        validated = out if scheme.validated is scheme.held_out else _some(scheme.validated, pairs)
+        out = scheme.held_out.some(pairs)
+        validated = out if scheme.validated is scheme.held_out else scheme.validated.some(pairs)
         return self._listed(pairs, out, validated)
 
     def _within(self, scheme: LazyNeighbourhoods, own: Integers) -> Part:
@@ -166,10 +166,8 @@ class Parts:
     def _corners(self) -> tuple[Floats, Floats]:
         """Lowest and highest coordinates in each cell, (cells, d)."""
         assert isinstance(self.scheme, LazyNeighbourhoods)
-        points, firsts = (
-            self.scheme.places.points[self.cells.order],
-            np.arange(0, len(self.cells.order), self.cells.size),
-        )
+        points = self.scheme.places.points[self.cells.order]
+        firsts = np.arange(0, len(points), self.cells.size)
         return np.minimum.reduceat(points, firsts), np.maximum.reduceat(points, firsts)
 
 
@@ -177,7 +175,7 @@ def data_order(scheme: Scheme) -> Integers:
     """An order of the data in which those of a pair are near each other, (n,): that in which pairs hold them out."""
     if isinstance(scheme, LazyNeighbourhoods):
         return scheme.order
-    held = _some(scheme.held_out, scheme.visiting_order).indices
+    held = scheme.held_out.some(scheme.visiting_order).indices
     known, first = np.unique(held, return_index=True)
     others = np.ones(scheme.n_data, dtype=np.bool_)
     others[known] = False
@@ -187,18 +185,6 @@ def data_order(scheme: Scheme) -> Integers:
 def _near(points: Floats, reach: float, corners: tuple[Floats, Floats]) -> Integers:
     """Cells that may have a point within a distance of some points."""
     low, high = corners
-    beyond = 1 + 1e-9
-    return np.flatnonzero(
-        ((high >= points.min(axis=0) - beyond * reach) & (low <= points.max(axis=0) + beyond * reach)).all(
-            axis=1
-        )
-    )
-
-
-def _some(sets: IndexSets, pairs: Integers) -> IndexSets:
-    """Some of the sets."""
-    sizes = sets.sizes[pairs]
-    ends = np.concatenate([[0], np.cumsum(sizes)])
-    return IndexSets(
-        ends, sets.indices[np.repeat(sets.offsets[pairs] - ends[:-1], sizes) + np.arange(ends[-1])]
-    )
+    reach *= 1 + 1e-9  # rounding must leave out no cell
+    meets = (high >= points.min(axis=0) - reach) & (low <= points.max(axis=0) + reach)
+    return np.flatnonzero(meets.all(axis=1))

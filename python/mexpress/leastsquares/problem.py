@@ -99,12 +99,17 @@ def expect_weights(weights: ArrayLike, n: int) -> Floats:
     return data_weights
 
 
+def weight_exponents(weights: Floats) -> NDArray[np.intc]:
+    """Exponents of the powers of four that are near the largest weights, (...), of weights (..., n)."""
+    return np.asarray(np.frexp(weights.max(axis=-1))[1] // 2)
+
+
 def scaled_weights(weights: Floats, rows: IndexSets) -> tuple[Floats, NDArray[np.intc]]:
     """Weights of the rows over the power of four that brings the largest near one, (..., m), and its exponents, (...).
 
     Of the weights of data, (..., n), of one problem or of several.
     """
-    exponents = np.frexp(weights.max(axis=-1))[1] // 2
+    exponents = weight_exponents(weights)
     row_weights = np.empty((*weights.shape[:-1], len(rows.indices)))
     scaled = np.ldexp(weights, -2 * exponents[..., None])
     row_weights[..., rows.indices] = np.repeat(scaled, rows.sizes, axis=-1)

@@ -34,10 +34,14 @@ class Kind:
     def places(self) -> tuple[Integers, Integers]:
         """The validated rows, pair after pair, and their pairs."""
         validated = self.scheme.validated
-        sizes = self.data.sizes[validated.indices]
-        starts = self.data.offsets[validated.indices] - (np.cumsum(sizes) - sizes)
-        rows = self.data.indices[np.repeat(starts, sizes) + np.arange(sizes.sum())]
-        return rows, np.repeat(np.repeat(np.arange(len(validated)), validated.sizes), sizes)
+        rows = self.data.some(validated.indices)
+        pairs = np.repeat(np.arange(len(validated)), validated.sizes)
+        return rows.indices, np.repeat(pairs, rows.sizes)
+
+    @property
+    def n_validated(self) -> int:
+        """How many rows are validated."""
+        return int(self.data.sizes[self.scheme.validated.indices].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +134,7 @@ class Problems:
     def run(self, some: Integers, kind: Kind) -> _Run:
         """Problems of a kind as the core takes them."""
         m, _, width, _ = kind.shape
-        order = None if kind.scheme.order is None else kind.scheme.order.view(np.uintp)
-        held_out = (kind.scheme.sets, order), kind.data.arrays
+        held_out = kind.scheme.arguments, kind.data.arrays
         responses = _stacked(self.b, some).reshape(len(some), m, width)
         return _stacked(self.A, some), responses, self._root_weights(some, kind.data), *held_out
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
-from mexpress.leastsquares.problem import expect_weights
+from mexpress.leastsquares.problem import expect_weights, weight_exponents
 
 _NUMBERS = 1 << 22
 """Numbers that are read at once: 32 MiB."""
@@ -86,24 +86,22 @@ class Rows:
         """Rows of some data."""
         return (data[:, None] * self.coupling + np.arange(self.coupling)).ravel()
 
-    def roots(self, rows: Integers) -> Floats:
-        """Roots of the weights of some rows, (k, 1)."""
-        return (
-            np.ones((len(rows), 1))
-            if self.weights is None
-            else np.sqrt(self.weights[rows // self.coupling, None])
-        )
+    def roots(self, rows: Integers) -> Floats | None:
+        """Roots of the weights of some rows, (k, 1); None if there are no weights."""
+        return None if self.weights is None else np.sqrt(self.weights[rows // self.coupling, None])
 
-    def weighing(self, exponent: int) -> Self:
-        """With weights over a power of four, so that their roots times rows neither over- nor underflow."""
-        return self if self.weights is None else replace(self, weights=np.ldexp(self.weights, -2 * exponent))
+    def weighing(self, like: Floats | None) -> Self:
+        """With weights over a power of four near some, so that their roots times rows neither over- nor underflow."""
+        if self.weights is None or like is None:
+            return self
+        return replace(self, weights=np.ldexp(self.weights, -2 * weight_exponents(like)))
 
     def take(self, rows: Integers) -> Floats:
         """Return some weighted rows of ``[A, b]``, (k, p + r)."""
         together = np.empty((len(rows), self.columns + self.responses))
         together[:, : self.columns] = self.A[rows]
         together[:, self.columns :] = self.b[rows].reshape(len(rows), self.responses)
-        return together if self.weights is None else together * self.roots(rows)
+        return weighted(together, self.roots(rows))
 
     def blocks(self) -> Iterator[Integers]:
         """Successive rows that are read at once."""
@@ -140,7 +138,7 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
     """
     if isinstance(blocks, tuple):
         rows = Rows.checked(blocks, coupling)
-        rows = rows.weighing(exponent_of(rows.weights))
+        rows = rows.weighing(rows.weights)
         for some in rows.blocks():
             each(bounded(rows.take(some), rows.columns))
         return rows
@@ -152,7 +150,7 @@ def rows_of(blocks: Any, coupling: int, directory: Any, each: Callable[[Floats],
         together = np.memmap(file, np.float64, "r").reshape(-1, first.columns + first.responses)
     b = together[:, first.columns] if first.b.ndim == 1 else together[:, first.columns :]
     shares = expect_weights(np.concatenate(weights), len(b) // coupling) if weights else None
-    return Rows(together[:, : first.columns], b, shares, coupling).weighing(exponent_of(first.weights))
+    return Rows(together[:, : first.columns], b, shares, coupling).weighing(first.weights)
 
 
 def _expect_folder(directory: Any) -> None:
@@ -182,16 +180,16 @@ def _written(
         plain = bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
         file.write(plain.data)
         weights += [] if rows.weights is None else [rows.weights.copy()]
-        each(plain * rows.weighing(exponent_of(first.weights)).roots(np.arange(len(plain))))
+        each(weighted(plain, rows.weighing(first.weights).roots(np.arange(len(plain)))))
     if first is None:
         check.refuse("blocks", _RULE, "none")
     file.flush()
     return first, weights
 
 
-def exponent_of(weights: Floats | None) -> int:
-    """Exponent of a power of four that brings weights near one."""
-    return 0 if weights is None else int(np.frexp(weights.max())[1]) // 2
+def weighted(rows: Floats, roots: Floats | None) -> Floats:
+    """Rows times the roots of their weights, if they have any."""
+    return rows if roots is None else rows * roots
 
 
 def bounded(rows: Floats, p: int) -> Floats:

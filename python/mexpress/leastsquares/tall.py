@@ -19,13 +19,13 @@ from mexpress import _core
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
-from mexpress.index_sets import singletons
+from mexpress.index_sets import IndexSets, singletons
 from mexpress.leastsquares.cells import Cells, merged, reduced
 from mexpress.leastsquares.cross_validation import CrossValidation, expect_scheme_of, warn_of_rank_loss
 from mexpress.leastsquares.dask_rows import DaskRows
 from mexpress.leastsquares.finished import Finished
 from mexpress.leastsquares.parts import Part, Parts, data_order, predicted
-from mexpress.leastsquares.rows import Rows, exponent_of, rows_of
+from mexpress.leastsquares.rows import Rows, rows_of
 from mexpress.progress import shown
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
@@ -81,7 +81,7 @@ class TallLeastSquares:
         workers, g, stack = check.threads(threads), check.count(coupling, "coupling", 1), [np.zeros((0, 0))]
         if DaskRows.have(blocks):
             dask_rows = DaskRows.checked(blocks, g)
-            dask_rows = dask_rows.weighing(exponent_of(dask_rows.weights))
+            dask_rows = dask_rows.weighing(dask_rows.weights)
             return cls(dask_rows, dask_rows.triangle(DaskRows.threads(threads)))
 
         def reduce(rows: Floats) -> None:
@@ -208,7 +208,7 @@ class TallLeastSquares:
                     done[k] = next(solved)
                     finished.add(k, *done[k])
                 found, lost = done.pop(k)
-                residuals[places.of_pairs(pairs)] = found
+                residuals[places.of_pairs.some(pairs).indices] = found
                 undefined.append(lost)
                 step()
         lost = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *undefined]))
@@ -262,40 +262,29 @@ class Places:
     ----------
     rows, pairs : (t,) int64 arrays
         The validated rows, pair after pair, and their pairs.
-    ends : (k + 1,) int64 array
-        Pair s has the places from ``ends[s]`` to ``ends[s + 1]``.
+    of_pairs : IndexSets
+        The places of each pair.
     """
 
     rows: Integers
     pairs: Integers
-    ends: Integers
+    of_pairs: IndexSets
 
     @classmethod
     def of(cls, scheme: Scheme, rows: Rows) -> Places:
         """The places of all pairs of a scheme."""
         sizes = scheme.validated.sizes * rows.coupling
         pairs = np.repeat(np.arange(len(sizes)), sizes)
-        return cls(rows.of(scheme.validated.indices), pairs, np.concatenate([[0], np.cumsum(sizes)]))
-
-    def of_pairs(self, some: Integers) -> Integers:
-        """Places of some pairs."""
-        sizes = self.ends[some + 1] - self.ends[some]
-        before = np.cumsum(sizes) - sizes
-        return np.repeat(self.ends[some] - before, sizes) + np.arange(sizes.sum())
+        places = IndexSets(np.concatenate([[0], np.cumsum(sizes)]), np.arange(len(pairs)))
+        return cls(rows.of(scheme.validated.indices), pairs, places)
 
     def result(self, weighted: Floats, undefined: Integers, rows: Rows) -> CrossValidation:
         """Score and plain residuals of weighted ones, (t, r)."""
-        total = float(len(self.rows) // rows.coupling)
-        residuals = weighted
-        if rows.weights is not None:
-            total = float(rows.weights[self.rows[:: rows.coupling] // rows.coupling].sum())
-            residuals = weighted / rows.roots(self.rows)
+        roots, data = rows.roots(self.rows), self.rows[:: rows.coupling] // rows.coupling
+        residuals = weighted if roots is None else weighted / roots
+        total = float(len(data) if rows.weights is None else rows.weights[data].sum())
         unit = np.abs(weighted).max(initial=0.0) or 1.0
         with np.errstate(invalid="ignore", divide="ignore"):
-            score = (
-                float(unit * np.sqrt(np.square(weighted / unit).sum() / total))
-                if not len(undefined)
-                else np.nan
-            )
+            score = float(unit * np.sqrt(np.square(weighted / unit).sum() / total))
         flat = residuals[:, 0] if rows.b.ndim == 1 else residuals
-        return CrossValidation(score, flat, self.rows, self.pairs, undefined)
+        return CrossValidation(np.nan if len(undefined) else score, flat, self.rows, self.pairs, undefined)

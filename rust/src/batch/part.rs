@@ -8,7 +8,7 @@ use crate::batch::{Found, Run};
 use crate::error::Error;
 use crate::fit::factor::Factor;
 use crate::holdout::residuals::Status;
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 use crate::sets::Sets;
 
 /// Multiply-adds that a thread takes at once, and problems, of which vectors hold eight.
@@ -68,13 +68,6 @@ pub(super) fn cut<'a>(runs: &'a [Run<'a>], found: &'a mut Found) -> Vec<Part<'a>
         }
     }
     parts
-}
-
-/// The first numbers of a slice, which keeps the others.
-fn take<'a, T>(slice: &mut &'a mut [T], count: usize) -> &'a mut [T] {
-    let (first, rest) = std::mem::take(slice).split_at_mut(count);
-    *slice = rest;
-    first
 }
 
 impl Part<'_> {

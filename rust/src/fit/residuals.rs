@@ -6,7 +6,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
 use crate::fit::linalg::dot;
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 
 /// Responses b in an orthonormal basis Q.
 pub(super) struct Residuals {
@@ -119,10 +119,7 @@ impl Part<'_> {
     /// Goes on by the rows of a basis, or by as many as there are.
     pub fn step(&mut self, step: Step<'_>, basis: &[f64]) {
         let rows = (basis.len() / self.rank).min(self.leverage.len());
-        let (leverage, later) = std::mem::take(&mut self.leverage).split_at_mut(rows);
-        self.leverage = later;
-        let (left, later) = std::mem::take(&mut self.left).split_at_mut(rows * self.width);
-        self.left = later;
+        let (leverage, left) = (take(&mut self.leverage, rows), take(&mut self.left, rows * self.width));
         Arch::new().dispatch(Take {
             step,
             shape: (self.rank, self.width),

@@ -10,7 +10,7 @@ use crate::holdout::probes::{PROBES, least_eigenvalue};
 use crate::holdout::rescue::refit::Refit;
 use crate::holdout::scheme::{Scheme, check_indices};
 use crate::holdout::walk::{Ground, Workspace};
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 use crate::sets::Sets;
 
 impl Factor {
@@ -98,12 +98,7 @@ impl Workspace {
 
 /// Parts of these sizes, one after another.
 fn cut<'a>(mut rest: &'a mut [f64], sizes: &[usize]) -> Vec<&'a mut [f64]> {
-    let part = |&size: &usize| {
-        let (part, after) = std::mem::take(&mut rest).split_at_mut(size);
-        rest = after;
-        part
-    };
-    sizes.iter().map(part).collect()
+    sizes.iter().map(|&size| take(&mut rest, size)).collect()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::error::Error;
 use crate::near::tree::{LEAF, LEAVES_A_TASK, Nearest, Tree, Within};
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 use crate::sets::{MOST_MEMBERS, Sets};
 
 /// For every point, the points within `radius` of it, itself included, sorted by index.
@@ -149,9 +149,7 @@ fn filled<const N: usize, W>(
     let mut rest = &mut items[..];
     let mut by_index: Vec<&mut [usize]> = Vec::with_capacity(sizes.len());
     for &size in sizes {
-        let (row, after) = rest.split_at_mut(size);
-        rest = after;
-        by_index.push(row);
+        by_index.push(take(&mut rest, size));
     }
     let mut rows: Vec<&mut [usize]> =
         tree.entries.iter().map(|entry| std::mem::take(&mut by_index[entry.index])).collect();

@@ -13,16 +13,24 @@ pub(super) struct LazyNeighbourhoods(pub(super) neighbours::LazyNeighbourhoods);
 
 #[pymethods]
 impl LazyNeighbourhoods {
+    /// Within a radius of all points, or of some of them alone.
     #[staticmethod]
+    #[pyo3(signature = (points, radius, threads, centres = None))]
     fn within(
         py: Python<'_>,
         points: PyReadonlyArray2<'_, f64>,
         radius: f64,
         threads: usize,
+        centres: Option<PyReadonlyArray1<'_, usize>>,
     ) -> PyResult<Self> {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
+        let centres = centres.as_ref().map(slice).transpose()?;
         let found = interruptible(py, f64::INFINITY, threads, |pool| {
-            neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)
+            let all = neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)?;
+            match centres {
+                Some(centres) => all.around(centres),
+                None => Ok(all),
+            }
         })?;
         Ok(Self(found))
     }
@@ -37,22 +45,6 @@ impl LazyNeighbourhoods {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
         let found = interruptible(py, f64::INFINITY, threads, |pool| {
             neighbours::LazyNeighbourhoods::nearest(points, dimension, k, pool)
-        })?;
-        Ok(Self(found))
-    }
-
-    /// Neighbourhoods of some of the points within a radius of all of them.
-    #[staticmethod]
-    fn within_around(
-        py: Python<'_>,
-        points: PyReadonlyArray2<'_, f64>,
-        centres: PyReadonlyArray1<'_, usize>,
-        radius: f64,
-        threads: usize,
-    ) -> PyResult<Self> {
-        let (dimension, points, centres) = (points.shape()[1], matrix(&points)?, slice(&centres)?);
-        let found = interruptible(py, f64::INFINITY, threads, |pool| {
-            neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)?.around(centres)
         })?;
         Ok(Self(found))
     }

@@ -12,7 +12,7 @@ use crate::holdout::rescue::double_double::{DdFactor, DdGram};
 use crate::holdout::rescue::refit::Refit;
 use crate::holdout::rescue::shared::{Group, groups};
 use crate::holdout::walk::{LastPair, Workspace};
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 
 /// Below this lambda_min(M) twice the digits do not help: those of Q are too few.
 const DOUBLE_DOUBLE_MIN_EIGENVALUE: f64 = 1e-12;
@@ -47,13 +47,8 @@ impl AllModels<'_> {
         let whole = if close.is_empty() { None } else { Some(self.nested.whole_gram(pool)?) };
         let mut results: Vec<(Vec<f64>, usize)> = vec![(Vec::new(), 0); steps.len()];
         let mut rest = &mut results[..];
-        let tasks: Vec<_> = tasks
-            .map(|(steps, union)| {
-                let (mine, after) = std::mem::take(&mut rest).split_at_mut(steps.len());
-                rest = after;
-                (steps, union, mine)
-            })
-            .collect();
+        let tasks: Vec<_> =
+            tasks.map(|(steps, union)| (steps, union, take(&mut rest, steps.len()))).collect();
         let failure = OnceLock::new();
         let workspace = || Rescue {
             models: self,

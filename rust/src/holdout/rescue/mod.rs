@@ -17,7 +17,7 @@ use crate::holdout::plan::costs;
 use crate::holdout::probes::least_eigenvalue;
 use crate::holdout::residuals::{Places, Status, unweight};
 use crate::holdout::walk::{Ground, Workspace};
-use crate::pool::Pool;
+use crate::pool::{Pool, take};
 
 /// Sets close to rank loss that share a pass over the basis, and how many numbers their systems may have.
 const BATCH_PAIRS: usize = 16;
@@ -73,14 +73,7 @@ impl Factor {
         let groups =
             groups(&members, ground.rows.len(), (self.problem_rows(), self.coordinates() + self.responses));
         let mut rest = &mut sets[..];
-        let tasks: Vec<_> = groups
-            .iter()
-            .map(|group| {
-                let (mine, after) = std::mem::take(&mut rest).split_at_mut(group.sets.len());
-                rest = after;
-                (group, mine)
-            })
-            .collect();
+        let tasks: Vec<_> = groups.iter().map(|group| (group, take(&mut rest, group.sets.len()))).collect();
         pool.run(tasks.into_iter(), Refit::default, |refit, (group, sets)| {
             let refitted = refit.share(self, problem, pool, &ground.rows_of(&group.union)).and_then(|()| {
                 sets.iter_mut().zip(&members[group.sets.clone()]).try_for_each(|(pairs, members)| {
@@ -187,8 +180,7 @@ impl Places {
         let mut left = Vec::new();
         for (place, status) in status.iter_mut().enumerate() {
             let size = (self.offsets[place + 1] - self.offsets[place]) * ground.factor.responses;
-            let (out, after) = rest.split_at_mut(size);
-            rest = after;
+            let out = take(&mut rest, size);
             while self.firsts[scheme + 1] <= place {
                 scheme += 1;
             }
