@@ -34,7 +34,9 @@ class Cells:
     >>> rows = Rows(np.arange(6.0)[:, None], np.ones(6), None, 1)
     >>> cells = Cells.of(rows, np.arange(6)[::-1], 2, 2, 1, lambda: None)
     >>> cells.data(np.array([0, 2]))
-    array([0, 1, 4, 5])
+    array([5, 4, 1, 0])
+    >>> cells.places(np.array([0, 2]), np.array([1, 5]))
+    array([2, 0])
     >>> rest = cells.rest(np.array([0, 2]))
     >>> (rest.T @ rest).round(6)
     array([[13.,  5.],
@@ -72,16 +74,25 @@ class Cells:
     def __len__(self) -> int:
         return len(self.triangles)
 
-    @cached_property
-    def of_data(self) -> Integers:
-        """The cell of each datum, (n,)."""
-        cells = np.empty_like(self.order)
-        cells[self.order] = np.arange(len(self.order)) // self.size
-        return cells
+    def having(self, data: Integers) -> Integers:
+        """The cells of some data."""
+        return self._places[data] // self.size
 
     def data(self, some: Integers) -> Integers:
-        """Data of some cells, increasing."""
-        return np.sort(np.concatenate([self.order[k * self.size : (k + 1) * self.size] for k in some]))
+        """Data of some cells, cell after cell: neighbours in this order are neighbours in memory."""
+        return np.concatenate([self.order[k * self.size : (k + 1) * self.size] for k in some])
+
+    def places(self, some: Integers, data: Integers) -> Integers:
+        """Where some data are among those of some cells, which increase."""
+        cells, within = np.divmod(self._places[data], self.size)
+        return np.searchsorted(some, cells) * self.size + within
+
+    @cached_property
+    def _places(self) -> Integers:
+        """Where each datum is in the order, (n,)."""
+        places = np.empty_like(self.order)
+        places[self.order] = np.arange(len(self.order))
+        return places
 
     def rest(self, some: Integers) -> Floats:
         """Return the triangle of the rows of all other cells, (q, q), from the largest branches without these."""

@@ -54,7 +54,7 @@ class Part:
     cells : (c,) int64 array
         Cells that have all data that the pairs hold out.
     data : (d,) int64 array
-        The data of these cells, increasing.
+        The data of these cells, in their order.
     held : Held
         What each pair holds out and validates, over these data.
     """
@@ -129,7 +129,7 @@ class Parts:
             return [order[first : first + size] for first in range(0, len(order), size)]
         held = self.scheme.held_out
         order = order[held.sizes[order] > 0]
-        group = self.cells.of_data[held.indices[held.offsets[order]]] // self.together
+        group = self.cells.having(held.indices[held.offsets[order]]) // self.together
         return np.split(order, np.flatnonzero(np.diff(group)) + 1) if len(order) else []
 
     def __len__(self) -> int:
@@ -147,7 +147,7 @@ class Parts:
         points, reach = scheme.places.points, checked_radius(scheme.reach)
         near = _near(points[own], reach, self._corners)
         data = self.cells.data(near)
-        centres = np.searchsorted(data, own).view(np.uintp)
+        centres = self.cells.places(near, own).view(np.uintp)
         return Part(own, near, data, Around(points[data], centres, reach))
 
     def _nearest(self, scheme: LazyNeighbourhoods, own: Integers) -> Part:
@@ -155,10 +155,10 @@ class Parts:
         return self._listed(own, out, IndexSets(np.arange(len(own) + 1), own))
 
     def _listed(self, pairs: Integers, out: IndexSets, validated: IndexSets) -> Part:
-        near = np.unique(self.cells.of_data[out.indices])
+        near = np.unique(self.cells.having(out.indices))
         data = self.cells.data(near)
         held, scored = (
-            IndexSets(some.offsets, np.searchsorted(data, some.indices)).arrays for some in (out, validated)
+            IndexSets(some.offsets, self.cells.places(near, some.indices)).arrays for some in (out, validated)
         )
         return Part(pairs, near, data, (held, scored))
 

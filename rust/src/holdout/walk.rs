@@ -250,7 +250,11 @@ impl Workspace {
             if stamps[datum] != self.now {
                 stamps[datum] = self.now;
                 listed += 1;
-                rows.extend_from_slice(ground.rows.get(datum));
+                match ground.rows.get(datum) {
+                    // Without the call that copies a slice: most data have a single row.
+                    &[row] => rows.push(row),
+                    several => rows.extend_from_slice(several),
+                }
             }
             listed
         };

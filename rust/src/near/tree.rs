@@ -51,6 +51,12 @@ impl<const N: usize> Node<N> {
         (0..N).fold(0.0, |sum, axis| sum + gap(axis) * gap(axis))
     }
 
+    /// The squared distance of a point from the corner that is farthest from it.
+    fn farthest_square(&self, point: &[f64; N]) -> f64 {
+        let gap = |axis: usize| (point[axis] - self.low[axis]).max(self.high[axis] - point[axis]);
+        (0..N).fold(0.0, |sum, axis| sum + gap(axis) * gap(axis))
+    }
+
     fn longest_side(&self) -> usize {
         let side = |axis: &usize| self.high[*axis] - self.low[*axis];
         (0..N).max_by(|a, b| side(a).total_cmp(&side(b))).unwrap_or(0)
@@ -211,9 +217,22 @@ impl<'a, const N: usize> Within<'a, N> {
     /// Replaces `out` by the indices of all that are near enough to a point, in no order.
     pub(crate) fn list(&mut self, point: &[f64; N], out: &mut Vec<usize>) {
         self.turn_to(point, point);
-        out.clear();
-        let near = self.leaves(point).flatten().filter(|entry| square(&entry.point, point) <= self.limit);
-        out.extend(near.map(|entry| entry.index));
+        out.resize(self.near.len() * LEAF, 0);
+        let mut filled = 0;
+        for &(node, leaf) in &self.near {
+            let entries = self.tree.leaf(leaf);
+            if self.tree.nodes[node].farthest_square(point) <= self.limit {
+                out[filled..].iter_mut().zip(entries).for_each(|(to, entry)| *to = entry.index);
+                filled += entries.len();
+                continue;
+            }
+            for entry in entries {
+                // Written whether near or not: a branch here would be taken at random.
+                out[filled] = entry.index;
+                filled += usize::from(square(&entry.point, point) <= self.limit);
+            }
+        }
+        out.truncate(filled);
     }
 }
 
