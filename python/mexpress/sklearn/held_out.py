@@ -192,7 +192,9 @@ class HeldOut:
         """Put the predictions of refits, for pairs whose training data lose rank, into those of a scheme."""
         validated, held, problem = scheme.validated, scheme.held_out, self.problem
         pairs = pairs[validated.sizes[pairs] > 0]
-        if len(problem.present) < scheme.n_data and len(pairs):
+        if not len(pairs):
+            return
+        if len(problem.present) < scheme.n_data:
             held = held.restricted(problem.present, scheme.n_data)
         refits = problem.refits(self.alpha, [held[pair] for pair in pairs])
         for pair, refit in zip(pairs, refits, strict=True):
