@@ -4,7 +4,7 @@
 
 Prints a table: microseconds a problem, how many times as fast as numpy, and the rate as a share of that of a product of
 matrices on one thread. Every peer does the same work: scores and prediction residuals of all problems; their largest
-difference is in the last column.
+difference is in the last column, and before it the memory that calls take beyond the problems.
 """
 
 import argparse
@@ -12,6 +12,7 @@ import os
 from functools import partial
 
 import numpy as np
+from memory import memory_of
 from timing import shortest
 
 import mexpress as mx
@@ -69,7 +70,7 @@ def main():
     print(f"Load {os.getloadavg()[0]:.2f}; product of matrices {rate / 1e9:.0f} Gflop/s.\n")
     columns = [f"{threads} thread{'s' if threads > 1 else ''}, us" for threads in told.threads]
     heads = ["rows", "columns", "what is held out", "problems", "loop, us", "numpy, us", *columns]
-    heads += ["times as fast as numpy", "Gflop/s", "difference"]
+    heads += ["times as fast as numpy", "Gflop/s", "MiB", "MiB, numpy", "difference"]
     print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
     for m, p in SHAPES:
         k = int(min(told.problems, max(64, 100 * FLOPS / (m * p * p))))
@@ -83,16 +84,17 @@ def main():
             few = slice(0, min(k, 500))
             alone = shortest(partial(loop, A[few], b[few], scheme), 1)[0] / len(A[few])
             theirs, expected = shortest(partial(stacked, A, b, scheme), told.rounds)
-            own = [
-                shortest(partial(mx.cross_validate_batch, A, b, scheme, threads=threads), told.rounds)
-                for threads in told.threads
+            calls = [
+                partial(mx.cross_validate_batch, A, b, scheme, threads=threads) for threads in told.threads
             ]
+            own = [shortest(call, told.rounds) for call in calls]
+            memory = f"{memory_of(calls[-1]):.0f} | {memory_of(partial(stacked, A, b, scheme)):.0f}"
             difference = np.abs(own[0][1].residuals - expected).max() / np.abs(expected).max()
             times = " | ".join(f"{1e6 * seconds / k:.2f}" for seconds, _ in own)
             ratios = " / ".join(f"{theirs / seconds:.1f}" for seconds, _ in own)
             flops = 4 * m * p * p * k / own[0][0] / 1e9
             first = f"{m} | {p} | {name} | {k:,} | {1e6 * alone:.0f} | {1e6 * theirs / k:.1f}"
-            print(f"| {first} | {times} | {ratios} | {flops:.1f} | {difference:.0e} |", flush=True)
+            print(f"| {first} | {times} | {ratios} | {flops:.1f} | {memory} | {difference:.0e} |", flush=True)
 
 
 if __name__ == "__main__":

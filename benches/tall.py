@@ -10,37 +10,15 @@ the same in memory, and the largest difference of prediction residuals is printe
 import argparse
 import os
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
+from memory import Memory
 
 import mexpress as mx
 
 IN_MEMORY = 1_000_000
-
-
-class Memory:
-    """The most memory of the process while it works, in GiB: its own, and with pages of files."""
-
-    def __enter__(self):
-        self.own = self.all = 0.0
-        self.done = threading.Event()
-        self.thread = threading.Thread(target=self.watch)
-        self.thread.start()
-        return self
-
-    def watch(self):
-        """Look at the process every tenth of a second."""
-        while not self.done.wait(0.1):
-            told = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
-            own, files = (int(told[name].split()[0]) / 2**20 for name in ("RssAnon", "RssFile"))
-            self.own, self.all = max(self.own, own), max(self.all, own + files)
-
-    def __exit__(self, *_):
-        self.done.set()
-        self.thread.join()
 
 
 def write(folder, rows, columns):

@@ -12,7 +12,6 @@ import argparse
 import os
 import warnings
 from functools import partial
-from pathlib import Path
 
 import dask.array as da
 import numpy as np
@@ -32,12 +31,6 @@ def block_of(places, columns):
 def received(dask_worker):
     """Bytes that a worker had from others."""
     return sum(each["total"] for each in dask_worker.transfer_incoming_log)
-
-
-def own():
-    """Memory of this process, in GiB."""
-    told = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
-    return int(told["RssAnon"].split()[0]) / 2**20
 
 
 def main():
@@ -84,7 +77,7 @@ def report(client, order, points, columns, blocks, radius, size):
         "around each": mx.schemes.exclusion_radius(points, radius),
     }
     for what, scheme in schemes.items():
-        before, had = own(), sum(client.run(received).values())
+        had = sum(client.run(received).values())
         if scheme is None:
             seconds, memory, model = timed(partial(mx.LeastSquares.from_blocks, (A, b)))
         else:
@@ -94,7 +87,7 @@ def report(client, order, points, columns, blocks, radius, size):
         if plain is not None and scheme is not None:
             took, _, expected = timed(partial(plain.cross_validate, scheme))
             last = f"{took:.1f} | {np.abs(expected.residuals - cv.residuals).max():.0e} |"
-        shares = f"{(memory.own - before) / size:.0%} | {sent / size:.0%}"
+        shares = f"{memory.more / size:.0%} | {sent / size:.0%}"
         print(f"| {order} | {what} | {seconds:.1f} | {shares} | {last}", flush=True)
 
 
