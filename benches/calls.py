@@ -19,7 +19,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from versus import REST, THREADS, MatrixProduct, describe_machine, show, waves
+from tables import show
+from versus import REST, THREADS, MatrixProduct, waves
 
 import mexpress as mx
 
@@ -193,7 +194,6 @@ def main() -> None:
         parser.error(f"no such call: {', '.join(sorted(unknown))}")
     if given.here:
         return time_here(given.here)
-    describe_machine()
     rows = []
     for name in given.names or CALLS:
         print(name, file=sys.stderr, flush=True)

@@ -11,6 +11,8 @@ import sys
 import tempfile
 import time
 
+from tables import show
+
 _PROGRAMS = (
     "pass",
     "import numpy",
@@ -43,10 +45,16 @@ def main() -> None:
             for program, taken in times.items():
                 taken.append(seconds(program, environment))
     numpy = statistics.median(times["import numpy"])
-    width = max(map(len, times))
-    for program, taken in times.items():
-        median = statistics.median(taken)
-        print(f"{program:{width}}  {1e3 * median:6.1f} ms [{1e3 * min(taken):.1f}]  {median / numpy:.2f}")
+    rows = [
+        [
+            f"`{program}`",
+            f"{1e3 * statistics.median(taken):.1f}",
+            f"{1e3 * min(taken):.1f}",
+            f"{statistics.median(taken) / numpy:.2f}",
+        ]
+        for program, taken in times.items()
+    ]
+    show("Imports", ["", "median, ms", "shortest, ms", "times numpy"], rows)
 
 
 if __name__ == "__main__":

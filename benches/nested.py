@@ -37,9 +37,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from machine import CORES
 from peers import numpy_nested
+from tables import show
 from threadpoolctl import threadpool_limits
-from versus import CORES, REST, THREADS, MatrixProduct, describe_machine, show, span
+from versus import REST, THREADS, MatrixProduct, span
 
 import mexpress as mx
 from mexpress.criteria import Scorer
@@ -449,7 +451,6 @@ def main() -> None:
     setting = Setting(given.rounds, given.data)
     if given.small:
         setting = Setting(given.rounds, given.data, (800, 40), 1500, 40)
-    describe_machine()
     for name in given.parts or parts:
         parts[name](setting)
 

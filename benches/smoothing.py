@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from tables import show
 
 import mexpress as mx
 from mexpress import simulation
@@ -51,13 +52,17 @@ def time_map() -> None:
     before = [timed(sweep(placement="nested", smoothing=0)) for _ in range(3)]
     whole = timed(sweep(placement="nested", smoothing=weights))
     plain = float(np.median(before + [timed(sweep(placement="nested", smoothing=0)) for _ in range(3)]))
-    print(
-        f"{len(COUNTS)} counts {plain:.2f} s, x {len(weights)} weights {whole:.2f} s: {whole / plain:.1f} plain sweeps"
-    )
-    print(f"Lloyd's placement, {len(COUNTS)} counts {timed(sweep(placement='lloyd', smoothing=0)):.2f} s")
+    lloyd = timed(sweep(placement="lloyd", smoothing=0))
+    rows = [
+        ["nested placement", f"{plain:.2f}", "1.0"],
+        [f"... x {len(weights)} weights", f"{whole:.2f}", f"{whole / plain:.1f}"],
+        ["Lloyd's placement", f"{lloyd:.2f}", f"{lloyd / plain:.1f}"],
+    ]
+    show(f"{len(COUNTS)} counts, {len(source):,} matches", ["", "seconds", "plain sweeps"], rows)
 
 
 def time_auto() -> None:
+    rows = []
     for n in (50, 150, 300, 1000, 2000, 10_000):
         source, target = bent(n)
         seconds = timed(lambda s=source, t=target: mx.select_warp(s, t, smoothing="auto"))
@@ -66,9 +71,8 @@ def time_auto() -> None:
             resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
             >> 20
         )
-        print(
-            f"n = {n}: warp {seconds:.2f} s, surface {depth:.2f} s; {peak} MiB at the peak of the process so far"
-        )
+        rows.append([f"{n:,}", f"{seconds:.2f}", f"{depth:.2f}", str(peak)])
+    show('smoothing="auto"', ["n", "warp, s", "surface, s", "peak so far, MiB"], rows)
 
 
 def waves(length: float, random: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
@@ -80,6 +84,7 @@ def waves(length: float, random: np.random.Generator) -> Callable[[np.ndarray], 
 
 def compare_caps() -> None:
     """True errors and CPU seconds in rough fields, medians of three draws: 20 px of bending, noise of 0.5 px."""
+    table = []
     for n in (400, 2000):
         for length in (300.0, 150.0, 80.0):
             rows = []
@@ -95,14 +100,16 @@ def compare_caps() -> None:
                     seconds = time.process_time() - start
                     rows.append((np.sqrt(((warp(unseen) - moved[1]) ** 2).sum(1).mean()), seconds))
             middle = np.median(np.reshape(rows, (3, len(CAPS), 2)), axis=0)
-            cells = " | ".join(f"{error:.2f} px, {seconds:.1f} s" for error, seconds in middle)
-            print(f"| {n} | {length:g} px | {cells} |", flush=True)
+            cells = [f"{error:.2f} px, {seconds:.1f} s" for error, seconds in middle]
+            table.append([f"{n:,}", f"{length:g} px", *cells])
+    show("True error and CPU seconds by the most control points", ["n", "length", *map(str, CAPS)], table)
 
 
 def compare_placements(number: int) -> None:
     """True errors and times on simulated sheets, of plain and of smoothed models."""
     every = simulation.configurations()
     chosen = np.random.default_rng(0).choice(len(every), number, replace=False)
+    rows = []
     for n in (50, 150):
         data = [simulation.correspondences(every[k], n, noise=1.0, seed=int(k)) for k in chosen]
         smoothed = {"smoothing": "auto", "criterion": "CMPRESS"}
@@ -119,9 +126,8 @@ def compare_placements(number: int) -> None:
                 warp = mx.select_warp(one.source, one.target, image_size=one.image_size, **options).warp
                 errors.append(np.sqrt(((warp(one.dense_source) - one.dense_target) ** 2).sum(1).mean()))
             seconds = (time.perf_counter() - start) / number
-            print(
-                f"n = {n}, {label}: median true error {np.median(errors):.1f} px, {seconds:.2f} s", flush=True
-            )
+            rows.append([str(n), label, f"{np.median(errors):.1f}", f"{seconds:.2f}"])
+    show("Placements, with one thread", ["n", "", "median true error, px", "seconds"], rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Time mexpress against numpy, cvmatrix and scikit-learn.
+"""Where the time of local exclusion goes, as a share of the rate of a product of matrices; and a tall design.
 
-Usage: ``python benches/versus.py [local] [tall] [folds] [small] [--rounds 7]``; all parts if none is named.
+Usage: ``python benches/versus.py [local] [tall] [--rounds 7]``; all parts if none is named. `grid.py` has more sizes
+and peers.
 
 What competes is run in turns (A B A B); the tables show the median of the rounds, with the least and the most.
 Everyone must give the same residuals to 1e-8 before it is timed. With one thread, BLAS and mexpress get one each.
@@ -11,8 +12,6 @@ pairs of their own each and a BLAS of one.
 import argparse
 import json
 import os
-import platform
-import re
 import subprocess
 import sys
 import time
@@ -21,12 +20,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from peers import cvmatrix_folds, numpy_stacked, refit
-from threadpoolctl import threadpool_info, threadpool_limits
+from machine import CORES, machine
+from peers import cvmatrix_folds, numpy_stacked
+from tables import show
+from threadpoolctl import threadpool_limits
 
 import mexpress as mx
 
-CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 THREADS = sorted({1, CORES})
 
 # OpenBLAS threads that have finished spin for a while before they sleep, and would slow down whoever is next.
@@ -172,24 +172,10 @@ def span(seconds: list[float] | np.ndarray, unit: float = 1e3) -> str:
     return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def show(title: str, head: list[str], rows: list[list[str]]) -> None:
-    """A Markdown table with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    print(f"\n{title}\n")
-    for row in (head, ["-" * width for width in widths], *rows):
-        print("| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |")
-
-
 def describe_machine() -> None:
-    info = Path("/proc/cpuinfo")
-    model = re.search(r"model name\s*:\s*(.*)", info.read_text()) if info.exists() else None
-    print(f"cpu: {model[1] if model else platform.processor() or platform.machine()}, {CORES} to use")
-    blas = [
-        f"{pool['internal_api']} {pool['version']} ({pool.get('architecture')})" for pool in threadpool_info()
-    ]
-    print(f"numpy {np.__version__}, BLAS {', '.join(sorted(set(blas)))}, mexpress {mx.__version__}")
-    if hasattr(os, "getloadavg"):
-        print(f"load when it started: {os.getloadavg()[0]:.2f}")
+    """Print what this runs on."""
+    load = f"; load {os.getloadavg()[0]:.2f} when it started" if hasattr(os, "getloadavg") else ""
+    print(f"{machine()}{load}.")
 
 
 def waves(points: np.ndarray, p: int) -> np.ndarray:
@@ -324,100 +310,14 @@ def tall(rounds: int) -> None:
     )
 
 
-def folds(rounds: int) -> None:
-    """Ten folds, model included."""
-    n, p, k = 100_000, 40, 10
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((n, p))
-    A[:, 0] = 1.0
-    b = A @ rng.standard_normal(p) + rng.standard_normal(n)
-    scheme = mx.schemes.k_fold(n, k, seed=0)
-    runners = []
-    for threads in THREADS:
-        runners += [
-            closed_form(A, b, scheme, threads, np.nan),
-            peer("numpy, looped, primal", lambda w: numpy_stacked.Looped(A, b, w), scheme, threads, np.nan),
-            peer("cvmatrix", lambda w: cvmatrix_folds.Folds(A, b, workers=w), scheme, threads, np.nan),
-            peer(
-                "cvmatrix, centred",
-                lambda w: cvmatrix_folds.Folds(A, b, centred=True, workers=w),
-                scheme,
-                threads,
-                np.nan,
-            ),
-            peer("sklearn cross_val_predict", lambda _: refit.Sklearn(A, b), scheme, threads, np.nan, "blas"),
-        ]
-    compete(runners, rounds)
-    rows = []
-    for runner in runners:
-        ours = next(r for r in runners if r.threads == runner.threads)
-        whole = np.median(runner.whole) / np.median(ours.whole)
-        rows.append(
-            [
-                runner.name,
-                str(runner.threads),
-                span(runner.fits),
-                span(runner.times),
-                span(runner.whole),
-                f"{whole:.1f}",
-            ]
-        )
-    show(
-        f"{k} folds: n = {n:,}, p = {p}",
-        ["", "threads", "fit, ms", "cross-validate, ms", "whole, ms", "times mexpress"],
-        rows,
-    )
-
-
-def small(rounds: int) -> None:
-    """What a complete call takes when the problem is small and there are many of them."""
-    n, p, calls = 200, 20, 200
-    rng = np.random.default_rng(0)
-    A, b = rng.standard_normal((n, p)), rng.standard_normal(n)
-    alone = mx.schemes.leave_one_out(n)
-    model = mx.LeastSquares(A, b)
-
-    def bare() -> float:
-        Q, _ = np.linalg.qr(A)
-        e = b - Q @ (Q.T @ b)
-        return float(np.sqrt(np.mean((e / (1 - np.einsum("ij,ij->i", Q, Q))) ** 2)))
-
-    def whole(threads: int | None) -> float:
-        scheme = mx.schemes.leave_one_out(n)
-        return mx.LeastSquares(A, b, threads=threads).cross_validate(scheme, threads=threads).score
-
-    if not abs(bare() - whole(None)) < 1e-12:
-        raise AssertionError("numpy's PRESS differs")
-    tasks = {
-        "complete: LeastSquares, leave_one_out, cross_validate": lambda: whole(None),
-        "the same, threads=1": lambda: whole(1),
-        "  LeastSquares": lambda: mx.LeastSquares(A, b, threads=1),
-        "  leave_one_out": lambda: mx.schemes.leave_one_out(n),
-        "  cross_validate": lambda: model.cross_validate(alone, threads=1),
-        "LeastSquares.press": lambda: model.press,
-        "numpy: qr and leverages": bare,
-    }
-    times: dict[str, list[float]] = {name: [] for name in tasks}
-    with threadpool_limits(1):
-        for _ in range(rounds + 1):
-            for name, task in tasks.items():
-                start = time.perf_counter()
-                for _ in range(calls):
-                    task()
-                times[name].append((time.perf_counter() - start) / calls)
-    rows = [[name, span(seconds[1:], 1e6)] for name, seconds in times.items()]
-    show(f"PRESS of a small problem: n = {n}, p = {p}", ["", "microseconds a call"], rows)
-
-
 def main() -> None:
-    parts = {"local": local, "tall": tall, "folds": folds, "small": small}
+    parts = {"local": local, "tall": tall}
     parser = argparse.ArgumentParser(description="Time mexpress against its peers.")
     parser.add_argument("parts", nargs="*", help=", ".join(parts))
     parser.add_argument("--rounds", type=int, default=7)
     given = parser.parse_args()
     if unknown := set(given.parts) - set(parts):
         parser.error(f"no such part: {', '.join(sorted(unknown))}")
-    describe_machine()
     for name in given.parts or parts:
         parts[name](given.rounds)
 
