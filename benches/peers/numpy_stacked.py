@@ -11,7 +11,7 @@ STACK_BYTES = 400_000
 
 
 class Closed:
-    """What the three share: ``Q`` and the residuals of the fit."""
+    """What all share: ``Q`` and the residuals of the fit."""
 
     def __init__(self, A: np.ndarray, b: np.ndarray, workers: int = 1) -> None:
         self.Q, _ = np.linalg.qr(A)
@@ -24,6 +24,14 @@ class Closed:
 
     def _some(self, held_out: list[np.ndarray], validated: list[np.ndarray]) -> list[np.ndarray]:
         raise NotImplementedError
+
+
+class Leverages(Closed):
+    """Each datum alone: the residuals of the fit, divided by one minus the leverages."""
+
+    def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict every datum from all others."""
+        return self.e / (1 - np.einsum("ij,ij->i", self.Q, self.Q))
 
 
 class Looped(Closed):

@@ -40,3 +40,18 @@ class Sklearn:
         splits = [(np.setdiff1d(every, K), T) for K, T in zip(held_out, validated, strict=True)]
         found = self.b - cross_val_predict(LinearRegression(), self.X, self.b, cv=splits)
         return found[np.concatenate(list(validated))]
+
+
+class SklearnOneByOne:
+    """A `LinearRegression` for each pair, as `cross_val_predict` fits them."""
+
+    def __init__(self, A: np.ndarray, b: np.ndarray) -> None:
+        self.X, self.b = A[:, 1:], b
+
+    def residuals(self, held_out: Sequence[np.ndarray], validated: Sequence[np.ndarray]) -> np.ndarray:
+        """Predict the validated rows of every pair, in order."""
+        found = []
+        for K, T in zip(held_out, validated, strict=True):
+            model = LinearRegression().fit(np.delete(self.X, K, axis=0), np.delete(self.b, K))
+            found.append(self.b[T] - model.predict(self.X[T]))
+        return np.concatenate(found)
