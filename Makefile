@@ -61,17 +61,9 @@ licences: ## Check that all crates are under licences that deny.toml allows
 	cargo deny --version >/dev/null 2>&1 || cargo install cargo-deny --locked
 	cargo deny --locked check licenses sources
 
-bench: $(VENV)/bench ## Time the core against numpy and peers
-	$(BIN)/python benches/versus.py
-	$(BIN)/python benches/nested.py
-	$(BIN)/python benches/reproduce.py
-	$(BIN)/python benches/map_problems.py
-	$(BIN)/python benches/stacks.py
-	$(BIN)/python benches/tall.py
-	$(BIN)/python benches/tall_dask.py
-	$(BIN)/python benches/smoothing.py map
-	$(BIN)/python benches/smoothing.py auto
-	$(BIN)/python benches/sklearn_refits.py
+# R's mgcv competes where it is: apt-get install r-base-core r-cran-mgcv
+bench: $(VENV)/bench ## Put this machine's times, beside other libraries', into docs/benchmarks.md
+	$(BIN)/python benches/page.py
 	$(BIN)/python -m pytest benches/test_*.py --benchmark-group-by=group
 	cargo bench --locked
 
