@@ -132,19 +132,23 @@ class Way:
 
 @dataclass(eq=False)
 class Runner:
-    """A call to time, which gives its seconds and residuals, and threads of the BLAS; `whole` if of all pairs."""
+    """A call to time, which gives its seconds and residuals, and threads of the BLAS; `whole` if of all pairs.
+
+    If it `rests`, it waits first, as threads of others may still spin.
+    """
 
     name: str
     call: Callable[[], tuple[float, np.ndarray]]
     blas: int
     whole: bool = True
+    rests: bool = False
     repeats: int = 1
     best: float = np.inf
 
     def run(self) -> np.ndarray:
         """Call once, or some times if that is short, and keep the shortest time."""
         with threadpool_limits(self.blas):
-            time.sleep(REST * (CORES > 1 and self.blas > 1))
+            time.sleep(REST * self.rests)
             found = [self.call() for _ in range(self.repeats)]
         self.best = min(self.best, sum(seconds for seconds, _ in found) / self.repeats)
         return found[0][1]
@@ -230,6 +234,7 @@ def compete(problem: Problem, ways: list[Way], rounds: int, threads: int = 1) ->
             runners.append(peer(way, problem, some, 1, threads))
             check(runners[-1], way, problem, some, expected)
     for runner in runners:
+        runner.rests = threads > 1
         runner.repeats = max(1, round(SHORT / runner.best))
         if runner.best < LONG:
             runner.best = np.inf
@@ -253,47 +258,58 @@ class Task:
 
     def run(self, rounds: int) -> None:
         """Print the table, and where a peer is faster."""
-        absent = [way for way in self.ways if way.is_absent()]
-        ways = [way for way in self.ways if way not in absent]
+        ways = [way for way in self.ways if not way.is_absent()]
         names = list(dict.fromkeys(way.name for way in self.ways))
-        settings = ["clustered points"] * self.clusters + [f"{CORES} threads"] * (CORES > 1)
-        heads = [*self.heads, "mexpress, ms", *names, "fastest peer"]
-        for setting in settings:
-            heads += [f"{setting}: mexpress, ms", "fastest peer"]
         rows, faster = [], {}
         for cell in self.cells:
             print(self.title, cell, file=sys.stderr, flush=True)
-            here = [way for way in ways if way.fits(cell)]
-            problem = self.problem(cell, "uniform")
-            found = compete(problem, here, rounds)
-            fastest = min(runner.best for runner in found[1:])
-            near = {runner.name for runner in found[1:] if runner.best <= NEAR * fastest}
-            some = [way for way in here if way.name in near]
-            row = [f"{cell.n:,}", str(cell.p), str(cell.q), milliseconds(found[0])]
-            row += [ratio([runner for runner in found if runner.name == name], found[0]) for name in names]
-            row.append(quickest(found))
-            results = {"": found}
-            for setting in settings:
-                clustered = setting.startswith("clustered")
-                other = self.problem(cell, "clustered") if clustered else problem
-                results[setting] = other = compete(other, some, rounds, 1 if clustered else CORES)
-                row += [milliseconds(other[0]), quickest(other)]
-            rows.append(row)
+            results = self.results(cell, [way for way in ways if way.fits(cell)], rounds)
+            rows.append(row(cell, names, list(results.values())))
             for setting, (own, *others) in results.items():
                 best = min(others, key=lambda runner: runner.best)
-                if best.best < own.best:
-                    where = f"{cell.n:,} x {cell.p}, {cell.q}{f', {setting}' if setting else ''}"
+                if is_faster(best, own):
+                    where = ", ".join([f"{cell.n:,} x {cell.p}", str(cell.q), *filter(None, [setting])])
                     faster.setdefault(best.name, []).append(f"{where}: {best.best / own.best:.2f}")
+        heads = [*self.heads, "mexpress, ms", *names, "fastest peer"]
+        for setting in self.settings:
+            heads += [f"{setting}: mexpress, ms", "fastest peer"]
         show(self.title, heads, rows)
-        for brings in dict.fromkeys(way.brings for way in absent):
-            missing = {way.name for way in absent if way.brings == brings}
-            print(f"Absent: {', '.join(sorted(missing))} ({brings}).")
+        for way in {way.name: way for way in self.ways if way.is_absent()}.values():
+            print(f"Absent: {way.name} ({way.brings}).")
         print(f"Peers: {', '.join(dict.fromkeys(way.version() for way in ways))}.")
-        print("\nWhere a peer is faster, and its time as a multiple of mexpress's:")
-        for name, cells in faster.items():
-            print(f"\n* {name}: {'; '.join(cells)}")
-        if not faster:
-            print("nowhere.")
+        print(f"\nA peer is faster{':' if faster else ' nowhere.'}")
+        for name, places_ in faster.items():
+            print(f"\n* {name}: {'; '.join(places_)}")
+
+    @property
+    def settings(self) -> list[str]:
+        """Other points and threads, for the peers that are not much slower than the fastest one."""
+        return ["clustered points"] * self.clusters + [f"{CORES} threads"] * (CORES > 1)
+
+    def results(self, cell: Cell, ways: list[Way], rounds: int) -> dict[str, list[Runner]]:
+        """Mexpress and its peers: on uniform points with one thread, and in the other settings."""
+        problem = self.problem(cell, "uniform")
+        found = {"": compete(problem, ways, rounds)}
+        fastest = min(runner.best for runner in found[""][1:])
+        near = {runner.name for runner in found[""][1:] if runner.best <= NEAR * fastest}
+        some = [way for way in ways if way.name in near]
+        for setting in self.settings:
+            if setting == "clustered points":
+                found[setting] = compete(self.problem(cell, "clustered"), some, rounds)
+            else:
+                found[setting] = compete(problem, some, rounds, CORES)
+        return found
+
+
+def row(cell: Cell, names: list[str], settings: list[list[Runner]]) -> list[str]:
+    """A line of a table: sizes, times of mexpress, ratios of all peers in the first setting, the fastest in each."""
+    (own, *others), *_ = settings
+    cells = [f"{cell.n:,}", f"{cell.p:,}", str(cell.q), milliseconds(own)]
+    cells += [ratio([runner for runner in others if runner.name == name], own) for name in names]
+    cells.append(quickest(settings[0]))
+    for runners in settings[1:]:
+        cells += [milliseconds(runners[0]), quickest(runners)]
+    return cells
 
 
 def milliseconds(runner: Runner) -> str:
@@ -308,7 +324,13 @@ def ratio(runners: list[Runner], own: Runner) -> str:
     fastest = min(runners, key=lambda runner: runner.best)
     times = fastest.best / own.best
     text = f"{times:,.{0 if times >= 10 else 2 if times < 1 else 1}f}"
-    return f"**{text}**" if times < 1 else text if fastest.whole else f"~{text}"
+    marked = text if fastest.whole else f"~{text}"
+    return f"**{marked}**" if is_faster(fastest, own) else marked
+
+
+def is_faster(peer: Runner, own: Runner) -> bool:
+    """Whether a peer is faster than mexpress, by what the table shows."""
+    return round(peer.best / own.best, 2) < 1
 
 
 def quickest(runners: list[Runner]) -> str:

@@ -29,7 +29,7 @@ MINUTES = re.compile(r"([\d.]+) minutes")
 
 def parts(page: str) -> Iterator[tuple[str, str]]:
     """The commands of a page, and what they printed."""
-    return (match.groups() for match in PART.finditer(page))
+    return ((match[1], match[2].strip()) for match in PART.finditer(page))
 
 
 def replaced(page: str, command: str, printed: str) -> str:
@@ -38,7 +38,7 @@ def replaced(page: str, command: str, printed: str) -> str:
     def part(match: re.Match[str]) -> str:
         if match[1] != command:
             return match[0]
-        return f"<!-- printed by: {command} -->\n{printed.strip()}\n<!-- end -->"
+        return f"<!-- printed by: {command} -->\n\n{printed.strip()}\n\n<!-- end -->"
 
     return PART.sub(part, page)
 

@@ -22,10 +22,10 @@ What it says.
 
 def test_a_part_is_replaced_alone():
     text = page.replaced(TEXT, "benches/grid.py", "| \\1 |\n\n")
-    assert text == TEXT.replace("grid.py -->\n", "grid.py -->\n| \\1 |\n")
+    assert text == TEXT.replace("grid.py -->\n", "grid.py -->\n\n| \\1 |\n\n")
     assert dict(page.parts(text)) == {
-        "benches/grid.py local": "old, 3.5 minutes\n",
-        "benches/grid.py": "| \\1 |\n",
+        "benches/grid.py local": "old, 3.5 minutes",
+        "benches/grid.py": "| \\1 |",
     }
     assert page.replaced(TEXT, "benches/other.py", "new") == TEXT
 
@@ -47,8 +47,8 @@ def test_a_command_that_fails_leaves_its_part(tmp_path, monkeypatch, capfd):
         page.main()
     assert "ZeroDivisionError" in capfd.readouterr().err
     found = dict(page.parts((tmp_path / "page.md").read_text()))
-    assert found["-c '1/0'"] == "old, 3.5 minutes\n"
-    assert found["-c 'print(5)'"].endswith("\n\n5\n")
+    assert found["-c '1/0'"] == "old, 3.5 minutes"
+    assert found["-c 'print(5)'"].endswith("\n\n5")
     monkeypatch.setattr("sys.argv", ["page.py", "--list"])
     page.main()
     assert capfd.readouterr().out.splitlines() == [
