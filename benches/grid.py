@@ -430,7 +430,13 @@ CVMATRIX = [
 REFITS = Way("scikit-learn, refits", "refit.SklearnOneByOne", "scikit-learn", apart=True)
 OPENTURNS = "openturns_linear.Validation"
 MGCV = Way(
-    "mgcv's NCV", "mgcv_ncv.Ncv", "mgcv", "apt-get install r-base-core r-cran-mgcv", apart=True, accuracy=1e-7
+    "mgcv's NCV",
+    "mgcv_ncv.Ncv",
+    "mgcv",
+    "apt-get install r-base-core r-cran-mgcv",
+    apart=True,
+    shares=True,
+    accuracy=1e-7,
 )
 
 SIZES, COLUMNS = (200, 2000, 20_000), (10, 60, 200)

@@ -3,7 +3,7 @@
 For least squares the step is exact. `gam(..., method="NCV", nei=...)` evaluates it for each weight of a penalty that
 it tries, among much else; here the routine that does it, C_Rncv, is called by itself for a model without penalty, after
 the Cholesky factorisation that it starts from, and the seconds are R's own for these two. For small problems, the score
-of `gam` itself is compared with the routine's. The routine has one thread here.
+of `gam` itself is compared with the routine's.
 """
 
 import atexit
@@ -50,8 +50,8 @@ class Ncv:
         Of the fit and of the evaluation.
     """
 
-    def __init__(self, A: np.ndarray, b: np.ndarray) -> None:
-        self.A, self.b = A, b
+    def __init__(self, A: np.ndarray, b: np.ndarray, workers: int = 1) -> None:
+        self.A, self.b, self.workers = A, b, workers
 
     @staticmethod
     @cache
@@ -65,7 +65,7 @@ class Ncv:
         ends, places = (
             np.cumsum([len(each) for each in sets], dtype=np.int32) for sets in (held_out, validated)
         )
-        sizes = np.array([*self.A.shape, len(ends), len(held), len(known)], dtype=np.int32)
+        sizes = np.array([*self.A.shape, len(ends), len(held), len(known), self.workers], dtype=np.int32)
         files = {
             "sizes": sizes,
             "A": self.A.ravel("F"),
