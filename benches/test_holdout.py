@@ -1,4 +1,4 @@
-"""Time mexpress beside its peers: ``pytest benches --benchmark-group-by=group``. Small; see `versus.py` for tables."""
+"""Time mexpress beside its peers: ``pytest benches --benchmark-group-by=group``. Small; see `grid.py` for tables."""
 
 import numpy as np
 import pytest
