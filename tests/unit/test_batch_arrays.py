@@ -59,9 +59,9 @@ def arrive(calls, folder, options=None):
     assert refused == []
     sources = opened(sharing.sources)
     some = pickle.loads(pickle.dumps(some))
-    found = [whole(pickle.loads(light), sources, rows) for _, light, rows in some]
+    found = [whole(light and pickle.loads(light), sources, rows) for _, light, rows in some]
     assert [index for index, *_ in some] == [*range(len(calls))]
-    return found, sharing.sources, some.stacks, max(len(light) for _, light, _ in some)
+    return found, sharing.sources, some.stacks, max(len(light or b"") for _, light, _ in some)
 
 
 def as_calls(problems):

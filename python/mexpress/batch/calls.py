@@ -63,7 +63,7 @@ class Task:
         """Return the result of a problem."""
         return self.function(*args, **{**self.options, **named})
 
-    def attempt(self, index: int, light: Light | bytes, rows: Mapping[Key, Array]) -> Outcome:
+    def attempt(self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array]) -> Outcome:
         """Make a call in a worker."""
         try:
             given = pickle.loads(light) if isinstance(light, bytes) else light
@@ -72,7 +72,7 @@ class Task:
             return failed(index, error)
 
     def attempt_within(
-        self, index: int, light: Light | bytes, rows: Mapping[Key, Array], timeout: float | None
+        self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array], timeout: float | None
     ) -> Outcome:
         """Make a call where it cannot be stopped: what takes too long is left to itself."""
         if timeout is None:
@@ -92,7 +92,11 @@ def assembled(function: Callable[..., Any], options: Light, sources: Sequence[By
 
 
 def packed(
-    task: Task, index: int, light: Light | bytes, rows: Mapping[Key, Array], timeout: float | None = None
+    task: Task,
+    index: int,
+    light: Light | bytes | None,
+    rows: Mapping[Key, Array],
+    timeout: float | None = None,
 ) -> bytes:
     """Make a call in a worker; return its outcome as it is sent."""
     try:

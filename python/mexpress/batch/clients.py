@@ -12,7 +12,7 @@ from typing import Any
 from mexpress import _validation as check
 from mexpress.batch.agenda import TICK, Agenda, Results
 from mexpress.batch.calls import Outcome, Task, assembled, failed, packed, unpacked, within
-from mexpress.batch.parcels import Item, parcel
+from mexpress.batch.parcels import Item, Parcel, parcel
 from mexpress.batch.sharing import Call, Sharing
 
 Submit = Callable[[Sequence[int], float | None], Future[Any]]
@@ -118,8 +118,8 @@ def _spell(
     begun, outcomes = time.monotonic(), []
     token = within.set(True)  # of a thread that may have other work, too
     try:
+        make = packed if isinstance(some, Parcel) else Task.attempt_within
         for index, light, rows in some:
-            make = packed if isinstance(light, bytes) else Task.attempt_within
             outcomes.append((index, make(task, index, light, rows, timeout)))
             if time.monotonic() - begun > _SPELL:
                 break

@@ -18,9 +18,9 @@ Item: TypeAlias = tuple[int, Any, dict[Key, Array]]
 
 @dataclass(frozen=True)
 class Parcel:
-    """Problems with their arguments as bytes, each for itself: if one cannot be read, the others can."""
+    """Problems with the arguments that are no rows, as bytes, each for itself: if one cannot be read, others can."""
 
-    lights: list[tuple[int, bytes]]
+    lights: list[tuple[int, bytes | None]]
     stacks: dict[Key, Array | Lying]
 
     def __iter__(self) -> Iterator[Item]:
@@ -35,17 +35,13 @@ def parcel(
 ) -> tuple[Parcel, list[tuple[int, Exception]]]:
     """Return problems as they are sent, and those that cannot be, with the reasons."""
     alike = _alike([calls[index] for index in chunk], sharing)
-    names = [key for key in alike if isinstance(key, str)]
-    nothing = dumps(((None,) * (len(alike) - len(names)), dict.fromkeys(names), []))
-    lights, refused = [], []
+    lights: list[tuple[int, bytes | None]] = []
+    refused = []
     for index in chunk:
         args, named = calls[index]
         try:
-            if len(args) + len(named) == len(alike):  # it has no other arguments
-                light = nothing
-            else:
-                light = dumps(sharing.light(*_without(alike, args, named)))
-            lights.append((index, light))
+            others = len(args) + len(named) > len(alike)
+            lights.append((index, dumps(sharing.light(*_without(alike, args, named))) if others else None))
         except Exception as error:  # pickling can raise anything
             refused.append((index, error))
     if refused:
