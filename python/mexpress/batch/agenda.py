@@ -21,6 +21,9 @@ Results: TypeAlias = list[tuple[int, Any]]
 Keep: TypeAlias = Callable[[Results], list[tuple[int, Exception]]]
 """Keeps results in a file; returns those that it cannot keep, with the reasons."""
 
+_LEAST = 0.003
+"""Seconds of work that are not divided among workers: to send so little takes as long."""
+
 _PATIENCE = 2
 """How often a problem is repeated whose process was ended: as a rule by somebody or something else."""
 
@@ -56,7 +59,8 @@ class Agenda:
         if self.suspects:
             return [self.suspects.pop()]
         share = math.ceil(len(self.waiting) / (2 * workers))
-        most = max(1, min(share, int(spell / max(self.pace, 1e-9))))
+        pace = max(self.pace, 1e-9)
+        most = max(1, min(max(share, int(_LEAST / pace)), int(spell / pace)))
         taken = self.waiting[: -most - 1 : -1]
         del self.waiting[-most:]
         return taken
