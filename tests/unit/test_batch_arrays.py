@@ -16,6 +16,7 @@ from inputs import refused
 import mexpress as mx
 from mexpress.batch.parcels import parcel
 from mexpress.batch.sharing import Sharing, opened, whole
+from mexpress.batch.tray import ROOM, Tray
 
 RNG = np.random.default_rng(0)
 LARGE = RNG.standard_normal((40, 60, 6))
@@ -54,13 +55,13 @@ def arrive(calls, folder, options=None):
         return path
 
     sharing = Sharing(calls, options or {}, store, mapped=True)
-    some, refused = parcel(range(len(calls)), calls, sharing)
+    some, refused = parcel(range(len(calls)), calls, sharing, Tray(folder / "tray"))
     assert refused == []
     sources = opened(sharing.sources)
     some = pickle.loads(pickle.dumps(some))
-    found = [whole(pickle.loads(light), sources, rows) for _, light, rows in some]
+    found = [whole(light and pickle.loads(light), sources, rows) for _, light, rows in some]
     assert [index for index, *_ in some] == [*range(len(calls))]
-    return found, sharing.sources, some.stacks, max(len(light) for _, light, _ in some)
+    return found, sharing.sources, some.stacks, max(len(light or b"") for _, light, _ in some)
 
 
 def as_calls(problems):
@@ -171,6 +172,34 @@ def test_workers_get_the_numbers_and_change_no_others():
         np.testing.assert_array_equal(LARGE, before)
 
 
+KEPT = []
+
+
+def keep(array, number):
+    """Return an array that was given, and whether those of earlier calls are what they were."""
+    KEPT.append((array, number))
+    return array, array[1:], number % 50 > 0 or all((earlier == given).all() for earlier, given in KEPT)
+
+
+def test_what_a_function_keeps_is_its_own():
+    problems = [(np.full(8, i), i) for i in range(3000)]
+    found = mx.map_problems(keep, problems, workers=2)
+    for (array, part, unchanged), (given, _) in zip(found, problems, strict=True):
+        np.testing.assert_array_equal(array, given)
+        np.testing.assert_array_equal(part, given[1:])
+        assert unchanged
+
+
+def test_arrays_with_and_without_room_on_a_tray_arrive():
+    for size in (ROOM // 80, ROOM // 8 + 1):  # ten of which have room, and none
+        problems = [(np.full(size, float(i)), i) for i in range(24)]
+        assert mx.map_problems(first_and_last, problems, workers=2) == [(i, i) for i in range(24)]
+
+
+def first_and_last(array, number):
+    return array[0], array[-1]
+
+
 # ---------------------------------------------------------------------------------------------- results in a file
 
 
@@ -229,6 +258,24 @@ def test_results_of_other_calls_are_not_taken(tmp_path):
     assert run() == [1]
     assert run(problems=[(2, tmp_path, arrays[0]), (1, tmp_path, arrays[1]), (5, tmp_path)]) == [2, 5]
     assert run(function=cube) == [0, 1]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_result_that_cannot_be_kept_is_a_failure(workers, tmp_path):
+    options = {"workers": workers, "resume": tmp_path / "results", "at": 1}
+    problems = [(i,) for i in range(4)]
+    with pytest.raises(TypeError, match=r"The result cannot be pickled: .*lock") as caught:
+        mx.map_problems(lock_at, problems, **options)
+    assert caught.value.__notes__ == ["This was problem 1 (from 0) of 4."]
+    found = mx.map_problems(lock_at, problems, on_error="return", **options)
+    assert [found[i] for i in (0, 2, 3)] == [0, 2, 3]
+    assert found[1].index == 1
+    assert "The result cannot be pickled" in str(found[1].error)
+    assert "lock" in found[1].traceback
+
+
+def lock_at(index, at):
+    return threading.Lock() if index == at else index
 
 
 class Scale:

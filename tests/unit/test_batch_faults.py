@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import mexpress as mx
-from mexpress.batch.serving import kept
+from mexpress.batch.spool import Spool, kept
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
@@ -41,14 +41,14 @@ def root(index, folder):
     return index**0.5
 
 
-def die_once(index, folder, seconds=0.0, at=1):
+def die_once(index, folder, seconds=0.0, at=1, size=3):
     """Kill the process in the midst of a problem, the first time."""
     time.sleep(seconds)
     if index == at and not (folder / "killed").exists():
         (folder / "killed").touch()
         os.kill(os.getpid(), signal.SIGKILL)
     note(folder, index)
-    return index, np.full(3, index)
+    return index, np.full(size, index)
 
 
 def die_always(index, at):
@@ -73,18 +73,18 @@ def fail_at_first(index, folder, times):
 # ------------------------------------------------------------------------------------------------------ failures
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_failure_is_a_value_with_its_index_and_error(workers, tmp_path):
+@pytest.mark.parametrize(("workers", "number"), [(1, 12), (2, 12), (2, 400)])
+def test_a_failure_is_a_value_with_its_index_and_error(workers, number, tmp_path):
     seen = {}
     found = mx.map_problems(
         root,
-        [(i,) for i in range(12)],
+        [(i,) for i in range(number)],
         workers,
         on_error="return",
         on_result=seen.__setitem__,
         folder=tmp_path,
     )
-    assert found == [seen[i] for i in range(12)]
+    assert found == [seen[i] for i in range(number)]
     for index, result in enumerate(found):
         if index % 5 == 3:
             assert isinstance(result, mx.Failure)
@@ -94,7 +94,7 @@ def test_a_failure_is_a_value_with_its_index_and_error(workers, tmp_path):
             assert "in root" in result.traceback
         else:
             assert result == index**0.5
-    assert done(tmp_path) == Counter(range(12))
+    assert done(tmp_path) == Counter(range(number))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -171,6 +171,19 @@ def test_a_killed_worker_loses_nothing_and_repeats_nothing(number, at, seconds, 
 
 
 @posix
+@pytest.mark.parametrize("size", [3, 50_000], ids=["in the spool", "too large for it"])
+def test_a_killed_worker_and_a_file_of_results_lose_nothing(size, tmp_path):
+    options = {"folder": tmp_path, "at": 57, "size": size, "resume": tmp_path / "results"}
+    for _ in range(2):  # the second time, all are in the file
+        found = mx.map_problems(die_once, [(i,) for i in range(90)], workers=2, **options)
+        for i, (index, array) in enumerate(found):
+            assert index == i
+            np.testing.assert_array_equal(array, np.full(size, i))
+        assert done(tmp_path) == Counter(range(90))
+    assert (tmp_path / "killed").exists()
+
+
+@posix
 def test_a_problem_that_always_kills_is_a_failure_and_all_others_are_done():
     found = mx.map_problems(die_always, [(i,) for i in range(200)], workers=2, on_error="return", at=77)
     assert [result for result in found if not isinstance(result, mx.Failure)] == [*range(77), *range(78, 200)]
@@ -180,9 +193,22 @@ def test_a_problem_that_always_kills_is_a_failure_and_all_others_are_done():
 
 
 def test_what_a_spool_holds_is_read_up_to_what_was_being_written(tmp_path):
-    assert list(kept(tmp_path / "none")) == []
-    (tmp_path / "spool").write_bytes(b"\1\0\0")
-    assert list(kept(tmp_path / "spool")) == []
+    def held():
+        return [(index, bytes(packed)) for index, packed in kept(tmp_path / "spool")[1]]
+
+    assert held() == []
+    (tmp_path / "spool").write_bytes(b"\1\0\0")  # the disk was full
+    assert held() == []
+    spool = Spool(tmp_path / "spool")
+    assert held() == []
+    assert spool.keep(3, b"three")
+    end = spool.end[0]
+    assert spool.keep(4, b"four")
+    spool.end[0] = end  # as if it had not come so far
+    assert held() == [(3, b"three")]
+    spool.clear()
+    assert spool.keep(5, b"")
+    assert held() == [(5, b"")]
 
 
 # ------------------------------------------------------------------------------------------------- what takes long
@@ -199,6 +225,18 @@ def test_a_call_that_takes_too_long_is_ended_and_no_other(workers):
     assert isinstance(found[4].error, TimeoutError)
     assert str(found[4].error) == "The call took longer than 0.5 s."
     assert [found[i] for i in range(30) if i not in (4, 20)] == [i for i in range(30) if i not in (4, 20)]
+
+
+def test_a_call_among_small_ones_that_takes_too_long_is_made_once(tmp_path):
+    problems = [(i, tmp_path) for i in range(200)]
+    found = mx.map_problems(note_and_sleep, problems, workers=2, on_error="return", timeout=0.5, at=[120])
+    assert [i for i, result in enumerate(found) if isinstance(result, mx.Failure)] == [120]
+    assert done(tmp_path) == Counter(range(200))
+
+
+def note_and_sleep(index, folder, at):
+    note(folder, index)
+    return sleep(index, at)
 
 
 def test_a_timeout_is_for_a_call_not_for_all():

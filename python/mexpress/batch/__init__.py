@@ -1,8 +1,8 @@
 """Many problems at once: what is left to do, who does it, and how arrays get there and results back.
 
 `problems` is what users call. An `agenda` has the problems that are not settled. They go to `workers`, processes that
-run `serving`, or to `clients`; in either, `calls` makes a call. `sharing` and `pickling` are how arguments and results
-travel, and a `journal` keeps results.
+run `serving`, or to `clients`; in either, `calls` makes a call. `sharing`, `parcels`, a `tray` and `pickling` are how
+arguments travel, a `spool` is how results do, and a `journal` keeps these.
 """
 
 from mexpress.batch.calls import Failure

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pickle
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
 from typing import Any, TypeAlias
@@ -62,25 +63,23 @@ class Task:
         """Return the result of a problem."""
         return self.function(*args, **{**self.options, **named})
 
-    def attempt(self, index: int, light: Light | bytes, rows: Mapping[Key, Array]) -> Outcome:
+    def attempt(self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array]) -> Outcome:
         """Make a call in a worker."""
-        token = within.set(True)
         try:
             given = pickle.loads(light) if isinstance(light, bytes) else light
             return True, self.call(*whole(given, self.sources, rows))
         except BaseException as error:  # also SystemExit, which ends no worker
             return failed(index, error)
-        finally:
-            within.reset(token)
 
     def attempt_within(
-        self, index: int, light: Light | bytes, rows: Mapping[Key, Array], timeout: float | None
+        self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array], timeout: float | None
     ) -> Outcome:
         """Make a call where it cannot be stopped: what takes too long is left to itself."""
         if timeout is None:
             return self.attempt(index, light, rows)
         outcome: SimpleQueue[Outcome] = SimpleQueue()
-        Thread(target=lambda: outcome.put(self.attempt(index, light, rows)), daemon=True).start()
+        call = partial(copy_context().run, lambda: outcome.put(self.attempt(index, light, rows)))
+        Thread(target=call, daemon=True).start()
         try:
             return outcome.get(timeout=min(timeout, TIMEOUT_MAX))
         except Empty:
@@ -93,22 +92,34 @@ def assembled(function: Callable[..., Any], options: Light, sources: Sequence[By
 
 
 def packed(
-    task: Task, index: int, light: Light | bytes, rows: Mapping[Key, Array], timeout: float | None = None
+    task: Task,
+    index: int,
+    light: Light | bytes | None,
+    rows: Mapping[Key, Array],
+    timeout: float | None = None,
 ) -> bytes:
     """Make a call in a worker; return its outcome as it is sent."""
     try:
         return dumps(task.attempt_within(index, light, rows, timeout))
     except Exception as error:  # pickling can raise anything
-        return dumps(failed(index, error))
+        return dumps(failed(index, unpicklable(error)))
 
 
-def unpacked(index: int, outcome: bytes) -> Outcome:
+def unpacked(index: int, outcome: bytes | memoryview) -> Outcome:
     """Return the outcome of a call that was sent."""
     try:
         found: Outcome = pickle.loads(outcome)
     except Exception as error:  # what can be sent cannot always be read
         return failed(index, error)
     return found
+
+
+def unpicklable(error: Exception) -> TypeError:
+    """Return the error of a result that neither goes to another process nor into a file."""
+    try:
+        raise TypeError(f"The result cannot be pickled: {error}") from error
+    except TypeError as new:
+        return new
 
 
 def failed(index: int, error: BaseException) -> Outcome:

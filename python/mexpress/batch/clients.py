@@ -10,13 +10,15 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from mexpress import _validation as check
-from mexpress.batch.agenda import SPELL, TICK, Agenda
-from mexpress.batch.calls import Outcome, Task, assembled, failed, packed, unpacked
-from mexpress.batch.parcels import Item, parcel
+from mexpress.batch.agenda import TICK, Agenda, Results
+from mexpress.batch.calls import Outcome, Task, assembled, failed, packed, unpacked, within
+from mexpress.batch.parcels import Item, Parcel, parcel
 from mexpress.batch.sharing import Call, Sharing
 
-Settled = Generator[tuple[int, Any], None, None]
 Submit = Callable[[Sequence[int], float | None], Future[Any]]
+
+_SPELL = 0.1
+"""Seconds of work that a worker is given at once, and after which it gives back what it has not begun."""
 
 _BROKEN = "A worker ended before its time: it crashed, ran out of memory, or could not import the function."
 _CANCELLED = "The client has cancelled problems that were not done."
@@ -24,7 +26,7 @@ _CANCELLED = "The client has cancelled problems that were not done."
 
 def by_client(
     client: Any, task: Task, calls: Sequence[Call], agenda: Agenda, timeout: float | None
-) -> Settled:
+) -> Generator[Results, None, None]:
     """Have calls made by an executor, or by Dask's client."""
     make = _dask if hasattr(client, "get_executor") else _any
     submit, workers, ahead = make(client, task, calls)
@@ -32,11 +34,11 @@ def by_client(
     pending: dict[Future[Any], list[int]] = {}
     try:
         while agenda.unsettled:
-            while len(pending) < (1 if agenda.alone else ahead) and (chunk := agenda.take(workers)):
+            while len(pending) < (1 if agenda.alone else ahead) and (chunk := agenda.take(workers, _SPELL)):
                 try:
                     future = submit(chunk, timeout)
                 except Exception as error:
-                    yield from _refused(chunk, error, agenda)
+                    yield _refused(chunk, error, agenda)
                     continue
                 pending[future] = chunk
                 future.add_done_callback(done.put)
@@ -44,7 +46,7 @@ def by_client(
                 future = done.get(timeout=TICK)
             except Empty:
                 continue
-            yield from _settled(future, pending.pop(future), agenda)
+            yield _settled(future, pending.pop(future), agenda)
     finally:
         for future in pending:
             future.cancel()
@@ -83,20 +85,21 @@ def _dask(client: Any, task: Task, calls: Sequence[Call]) -> tuple[Submit, int, 
     return submit, workers, max(4 * workers, 32)  # a cluster may grow
 
 
-def _settled(future: Future[Any], chunk: list[int], agenda: Agenda) -> Settled:
+def _settled(future: Future[Any], chunk: list[int], agenda: Agenda) -> Results:
     """Take what comes of some problems."""
     try:
         outcomes, seconds = future.result()
     except Exception as error:
-        yield from _refused(chunk, error, agenda)
-        return
+        return _refused(chunk, error, agenda)
     agenda.learn(len(outcomes), seconds)
     agenda.put_back(chunk[len(outcomes) :])
-    for index, outcome in outcomes:
-        yield from agenda.settle(index, unpacked(index, outcome) if isinstance(outcome, bytes) else outcome)
+    return agenda.settle(
+        (index, unpacked(index, outcome) if isinstance(outcome, bytes) else outcome)
+        for index, outcome in outcomes
+    )
 
 
-def _refused(chunk: list[int], error: Exception, agenda: Agenda) -> Settled:
+def _refused(chunk: list[int], error: Exception, agenda: Agenda) -> Results:
     """Take that some problems did not get to a worker, or their results not back, or that the worker ended."""
     if isinstance(error, CancelledError | BrokenExecutor):
         raise RuntimeError(_CANCELLED if isinstance(error, CancelledError) else _BROKEN) from error
@@ -104,8 +107,8 @@ def _refused(chunk: list[int], error: Exception, agenda: Agenda) -> Settled:
     killed = type(error).__name__ == "KilledWorker"
     if len(chunk) > 1 or (killed and chunk[0] not in agenda.alone):
         agenda.suspect(chunk)
-    else:
-        yield from agenda.settle(chunk[0], failed(chunk[0], error))
+        return []
+    return agenda.settle([(chunk[0], failed(chunk[0], error))])
 
 
 def _spell(
@@ -113,9 +116,13 @@ def _spell(
 ) -> tuple[list[tuple[int, Outcome | bytes]], float]:
     """Make calls for a while; return what comes of them, as bytes if they came so, and the seconds that they took."""
     begun, outcomes = time.monotonic(), []
-    for index, light, rows in some:
-        make = packed if isinstance(light, bytes) else Task.attempt_within
-        outcomes.append((index, make(task, index, light, rows, timeout)))
-        if time.monotonic() - begun > SPELL:
-            break
+    token = within.set(True)  # of a thread that may have other work, too
+    try:
+        make = packed if isinstance(some, Parcel) else Task.attempt_within
+        for index, light, rows in some:
+            outcomes.append((index, make(task, index, light, rows, timeout)))
+            if time.monotonic() - begun > _SPELL:
+                break
+    finally:
+        within.reset(token)
     return outcomes, time.monotonic() - begun

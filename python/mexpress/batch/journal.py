@@ -15,7 +15,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from mexpress import _validation as check
-from mexpress.batch.calls import Task
+from mexpress.batch.agenda import Results
+from mexpress.batch.calls import Task, unpicklable
 from mexpress.batch.pickling import dumps
 from mexpress.batch.sharing import Call
 
@@ -61,10 +62,19 @@ class Journal:
                 if index < len(self.calls) and fingerprint == self._fingerprint_of(index):
                     yield index, pickle.loads(packed)
 
-    def add(self, index: int, result: Any) -> None:
-        """Write a result, at once."""
-        body = pickle.dumps((index, self._fingerprint_of(index), dumps(result)))
-        self.file.write(_HEAD.pack(zlib.crc32(body), len(body)) + body)
+    def add(self, results: Results) -> list[tuple[int, Exception]]:
+        """Write results, at once; return those that cannot be pickled, with the reasons."""
+        records: list[bytes] = []
+        refused: list[tuple[int, Exception]] = []
+        for index, result in results:
+            try:
+                body = pickle.dumps((index, self._fingerprint_of(index), dumps(result)))
+            except Exception as error:  # pickling can raise anything
+                refused.append((index, unpicklable(error)))
+            else:
+                records += [_HEAD.pack(zlib.crc32(body), len(body)), body]
+        self.file.write(b"".join(records))
+        return refused
 
     def _cut_off(self, path: Path, start: int) -> None:
         with path.open("rb") as file:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mexpress.batch.pickling import dumps
 from mexpress.batch.sharing import Array, Call, Key, Sharing
+from mexpress.batch.tray import ROOM, Lying, Tray
 
 Item: TypeAlias = tuple[int, Any, dict[Key, Array]]
 """A problem, its arguments as they are sent, and those of them that are rows of one array."""
@@ -17,44 +18,51 @@ Item: TypeAlias = tuple[int, Any, dict[Key, Array]]
 
 @dataclass(frozen=True)
 class Parcel:
-    """Problems with their arguments as bytes, each for itself: if one cannot be read, the others can."""
+    """Problems with the arguments that are no rows, as bytes, each for itself: if one cannot be read, others can."""
 
-    lights: list[tuple[int, bytes]]
-    stacks: dict[Key, Array]
+    lights: list[tuple[int, bytes | None]]
+    stacks: dict[Key, Array | Lying]
 
     def __iter__(self) -> Iterator[Item]:
-        for row, (index, light) in enumerate(self.lights):
-            yield index, light, {key: stack[row] for key, stack in self.stacks.items()}
+        keys = list(self.stacks)
+        stacks = [stack.array() if isinstance(stack, Lying) else stack for stack in self.stacks.values()]
+        for (index, light), *rows in zip(self.lights, *stacks, strict=True):
+            yield index, light, {key: row.copy() for key, row in zip(keys, rows, strict=True)}
 
 
 def parcel(
-    chunk: Sequence[int], calls: Sequence[Call], sharing: Sharing
+    chunk: Sequence[int], calls: Sequence[Call], sharing: Sharing, tray: Tray | None = None
 ) -> tuple[Parcel, list[tuple[int, Exception]]]:
     """Return problems as they are sent, and those that cannot be, with the reasons."""
     alike = _alike([calls[index] for index in chunk], sharing)
-    names = [key for key in alike if isinstance(key, str)]
-    nothing = dumps(((None,) * (len(alike) - len(names)), dict.fromkeys(names), []))
-    lights, refused = [], []
+    lights: list[tuple[int, bytes | None]] = []
+    refused = []
     for index in chunk:
         args, named = calls[index]
         try:
-            if len(args) + len(named) == len(alike):  # it has no other arguments
-                light = nothing
-            else:
-                light = dumps(sharing.light(*_without(alike, args, named)))
-            lights.append((index, light))
+            others = len(args) + len(named) > len(alike)
+            lights.append((index, dumps(sharing.light(*_without(alike, args, named))) if others else None))
         except Exception as error:  # pickling can raise anything
             refused.append((index, error))
     if refused:
         gone = {index for index, _ in refused}
-        kept = [index not in gone for index in chunk]
-        return Parcel(lights, {key: stack[kept] for key, stack in alike.items()}), refused
-    return Parcel(lights, alike), refused
+        alike = {
+            key: [array for index, array in zip(chunk, column, strict=True) if index not in gone]
+            for key, column in alike.items()
+        }
+    return Parcel(lights, {key: _stacked(column, tray) for key, column in alike.items() if column}), refused
 
 
-def _alike(calls: Sequence[Call], sharing: Sharing) -> dict[Key, Array]:
+def fitting(chunk: Sequence[int], calls: Sequence[Call]) -> int:
+    """Return how many of some problems have room on a tray, if all are like the first: at least that."""
+    args, named = calls[chunk[0]]
+    nbytes = sum(value.nbytes for value in (*args, *named.values()) if type(value) is np.ndarray)
+    return max(1, ROOM // max(nbytes, 1))
+
+
+def _alike(calls: Sequence[Call], sharing: Sharing) -> dict[Key, list[Array]]:
     """Return the arguments that are arrays of one shape and type in all calls, call after call."""
-    found: dict[Key, Array] = {}
+    found: dict[Key, list[Array]] = {}
     if len(calls) < 2:
         return found
     args, named = calls[0]
@@ -73,9 +81,17 @@ def _alike(calls: Sequence[Call], sharing: Sharing) -> dict[Key, Array]:
             and not sharing.has(value)
             for value in column
         ):
-            flat = np.empty((len(column) * shape[0], *shape[1:]), dtype)
-            found[key] = np.concatenate(column, out=flat).reshape(len(column), *shape)
+            found[key] = column
     return found
+
+
+def _stacked(column: Sequence[Array], tray: Tray | None) -> Array | Lying:
+    """Return arrays of one shape as one, on the tray if there is room."""
+    if tray and (lying := tray.stacked(column)):
+        return lying
+    number, shape = len(column), column[0].shape
+    flat = np.empty((number * shape[0], *shape[1:]), column[0].dtype)
+    return np.concatenate(column, out=flat).reshape(number, *shape)
 
 
 def _without(keys: Container[Key], args: tuple[Any, ...], named: Mapping[str, Any]) -> Call:

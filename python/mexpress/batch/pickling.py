@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import sys
+from collections.abc import Iterable
+from multiprocessing.connection import Connection
 from typing import Any
 
 
@@ -52,3 +54,26 @@ def _is_main_imported() -> bool:
     if name is not None:
         return not f".{name}".endswith(".__main__")
     return getattr(main, "__file__", None) is not None
+
+
+def frames(value: Any) -> list[bytes | memoryview]:
+    """Return what is sent of a value: its pickle, and the memory of its arrays as it is."""
+    buffers: list[pickle.PickleBuffer] = []
+    packed = pickle.dumps(value, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+    memory = [buffer.raw() for buffer in buffers]
+    return [pickle.dumps((packed, [part.nbytes for part in memory])), *memory]
+
+
+def send(connection: Connection, some: Iterable[bytes | memoryview]) -> None:
+    """Send frames to a process that reads."""
+    for part in some:
+        connection.send_bytes(part)
+
+
+def received(connection: Connection) -> Any:
+    """Return a value that was sent as frames; its arrays can be written to."""
+    packed, sizes = connection.recv()
+    memory = [bytearray(size) for size in sizes]
+    for part in memory:
+        connection.recv_bytes_into(part)
+    return pickle.loads(packed, buffers=memory)

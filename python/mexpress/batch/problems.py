@@ -13,7 +13,7 @@ from traceback import format_exception
 from typing import Any, Literal, TypeVar, overload
 
 from mexpress import _validation as check
-from mexpress.batch.agenda import Agenda
+from mexpress.batch.agenda import Agenda, Results
 from mexpress.batch.calls import Failure, Outcome, Task, within
 from mexpress.batch.clients import by_client
 from mexpress.batch.journal import Journal
@@ -25,8 +25,7 @@ from mexpress.progress import Show, shown
 
 Result = TypeVar("Result")
 Problem = tuple[Any, ...] | Mapping[str, Any]
-Results = Generator[tuple[int, Any], None, None]
-Work = Callable[[Agenda], Results]
+Work = Callable[[Agenda], Generator[Results, None, None]]
 
 _ON_ERROR = ("raise", "return")
 
@@ -193,7 +192,7 @@ def iterate_problems(
     retries: int = 0,
     resume: str | os.PathLike[str] | None = None,
     **options: Any,
-) -> Results:
+) -> Generator[tuple[int, Any], None, None]:
     """Call a function on many problems, on all cores, and return results as they come.
 
     Work begins when the first result is asked for. Whoever stops early ends it.
@@ -241,7 +240,7 @@ def iterate_problems(
 
 def _results(
     task: Task, calls: Sequence[Call], work: Work, show: Show, file: Path | None, retries: int, raising: bool
-) -> Results:
+) -> Generator[tuple[int, Any], None, None]:
     """Do what is to be done; return results that a file holds first."""
     name, start = getattr(task.function, "__qualname__", repr(task.function)), time.perf_counter()
     LOG.info("Calling %s on %d problems.", name, len(calls))
@@ -256,12 +255,11 @@ def _results(
                 step()
         if journal:
             LOG.info("%s holds %d results of %d.", file, len(calls) - len(left), len(calls))
-        agenda = Agenda(left, len(calls), retries, raising)
-        for index, result in stack.enter_context(closing(work(agenda))):
-            if journal and index not in agenda.failures:
-                journal.add(index, result)
-            yield index, result
-            step()
+        agenda = Agenda(left, len(calls), retries, raising, journal.add if journal else None)
+        for results in stack.enter_context(closing(work(agenda))):
+            for index, result in results:
+                yield index, result
+                step()
     failures = len(agenda.failures)
     LOG.info("%d problems in %.2g s, %d failures.", len(calls), time.perf_counter() - start, failures)
     agenda.conclude()
@@ -270,10 +268,10 @@ def _results(
 def _calls(problems: Iterable[Problem]) -> list[Call]:
     calls: list[Call] = []
     for problem in check.items(problems, "problems", "They must be tuples or mappings."):
-        if isinstance(problem, Mapping) and all(isinstance(name, str) for name in problem):
-            calls.append(((), problem))
-        elif isinstance(problem, tuple):
+        if isinstance(problem, tuple):
             calls.append((problem, {}))
+        elif isinstance(problem, Mapping) and all(isinstance(name, str) for name in problem):
+            calls.append(((), problem))
         else:
             rule = "It must be a tuple of arguments, or a mapping of them by name."
             check.refuse(f"problems[{len(calls)}]", rule, check.describe(problem), TypeError)
@@ -322,11 +320,13 @@ def _check_reach(function: Any) -> None:
         raise TypeError(f"Invalid function. {rule} Given {check.describe(function)}: {error}.") from error
 
 
-def _in_turn(task: Task, calls: Sequence[Call], agenda: Agenda, timeout: float | None) -> Results:
+def _in_turn(
+    task: Task, calls: Sequence[Call], agenda: Agenda, timeout: float | None
+) -> Generator[Results, None, None]:
     """Make calls here."""
     while agenda.unsettled:
-        (index,) = agenda.take(len(calls))
-        yield from agenda.settle(index, _outcome(task, index, calls[index], timeout))
+        (index,) = agenda.take(1, 0.0)
+        yield agenda.settle([(index, _outcome(task, index, calls[index], timeout))])
 
 
 def _outcome(task: Task, index: int, call: Call, timeout: float | None) -> Outcome:

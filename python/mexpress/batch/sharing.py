@@ -92,11 +92,14 @@ class Sharing:
         return None
 
 
-def whole(light: Light, sources: Sequence[Bytes], rows: Mapping[Key, Array]) -> Call:
+def whole(light: Light | None, sources: Sequence[Bytes], rows: Mapping[Key, Array]) -> Call:
     """Return the arguments that were sent, with the rows of others that are in one array with theirs.
 
     Shared arrays cannot be written to: others see the same memory.
     """
+    if light is None:  # all are rows, in order
+        positions = [row for key, row in rows.items() if isinstance(key, int)]
+        return tuple(positions), {key: row for key, row in rows.items() if isinstance(key, str)}
     args, named, places = light
     if not places and not rows:
         return args, named

@@ -9,27 +9,25 @@ from __future__ import annotations
 import atexit
 import math
 import os
-import pickle
 import shutil
 import time
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from itertools import count
 from multiprocessing.connection import Pipe, wait
 from pathlib import Path
 from tempfile import mkdtemp, mkstemp
-from typing import Any
 
-from mexpress.batch.agenda import TICK, Agenda
+from mexpress.batch.agenda import TICK, Agenda, Results
 from mexpress.batch.calls import Task, failed, timed_out, unpacked
-from mexpress.batch.parcels import parcel
-from mexpress.batch.pickling import dumps
+from mexpress.batch.parcels import fitting, parcel
+from mexpress.batch.pickling import dumps, frames, send
 from mexpress.batch.process import Process
-from mexpress.batch.serving import Packed, kept, serve
+from mexpress.batch.serving import SPELL, serve
 from mexpress.batch.sharing import Bytes, Call, Sharing
+from mexpress.batch.spool import Packed, kept, unframed
+from mexpress.batch.tray import Tray
 from mexpress.logger import LOG
-
-Settled = Generator[tuple[int, Any], None, None]
 
 _STARTS = 3
 """How many processes may be killed before they are ready."""
@@ -52,33 +50,40 @@ class Worker:
         there.close()
         self.ready = self.idle = self.ended = False
         self.given = 0
+        self.tray: Tray | None = None
         self.left: dict[int, None] = {}  # in the order in which it takes them
         self.begun = self.heard = 0.0
 
-    def begin(self, indices: Iterable[int], some: bytes) -> None:
+    def begin(self, indices: Iterable[int], some: list[bytes | memoryview], tray: Tray) -> None:
         """Give it problems. It must be idle, and so reads: neither waits for the other."""
         self.idle = False
-        self.left = dict.fromkeys(indices)
+        self.left, self.tray = dict.fromkeys(indices), tray
         self.given = len(self.left)
         self.begun = self.heard = time.monotonic()
         with suppress(OSError):  # if it has ended, it will be found
-            self.connection.send_bytes(some)
+            send(self.connection, some)
 
     def receive(self) -> list[Packed]:
         """Return outcomes that it has sent. Then it may be idle, with problems left that it gives back."""
         try:
-            message = self.connection.recv()
+            message = self.connection.recv_bytes()
         except (EOFError, OSError):
             self.ended = True
             return []
         self.heard = time.monotonic()
-        if isinstance(message, str):
-            raise RuntimeError(f"A worker process could not begin: {message}")
-        if message is None:
-            self.ready = self.idle = True
-            return []
-        outcomes, self.idle = message
-        return self._tick_off(outcomes)
+        if self.ready:
+            self.idle = bool(message[0])
+            return self._tick_off(unframed(memoryview(message)[1:]))
+        if message:
+            raise RuntimeError(f"A worker process could not begin: {message.decode()}")
+        self.ready = self.idle = True
+        return []
+
+    def look(self) -> Iterator[Packed]:
+        """See whether it has begun a call since it was heard; return the outcomes that it keeps."""
+        begun, outcomes = kept(self.spool)
+        self.heard = max(self.heard, begun)
+        return outcomes
 
     def end(self) -> list[Packed]:
         """End it; return outcomes that it had not sent yet, or that nobody has read."""
@@ -90,13 +95,13 @@ class Worker:
         while not self.ended and self.connection.poll():
             found += self.receive()
         self.connection.close()
-        return found + self._tick_off(kept(self.spool))
+        return found + self._tick_off(self.look())
 
     def dismiss(self) -> None:
         """Let it go if it is idle, and end it if it is not."""
         if self.idle:
             with suppress(OSError):
-                self.connection.send(None)
+                send(self.connection, frames(None))
         else:
             self.process.kill()
 
@@ -121,9 +126,10 @@ class Crew:
         self.agenda, self.timeout = agenda, timeout
         self.owner = os.getpid()
         self.folder = Path(mkdtemp(prefix="mexpress-"))
-        self.spools = (self.folder / f"{number}.spool" for number in count())
+        self.files = (self.folder / f"{number}.memory" for number in count())
+        self.trays: list[Tray] = []
         self.calls = calls
-        self.next: tuple[list[int], bytes] | None = None
+        self.next: tuple[list[int], list[bytes | memoryview], Tray] | None = None
         self.workers: list[Worker] = []
         self.starts = 0
         atexit.register(self.close)  # before multiprocessing waits for all processes
@@ -151,42 +157,62 @@ class Crew:
             worker.leave()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def employ(self, number: int) -> Settled:
+    def employ(self, number: int) -> Results:
         """Have as many workers as there is work for, and give problems to those that are idle."""
         while len(self.workers) < min(number, len(self.agenda.unsettled)):
-            self.workers.append(Worker(self.payload, next(self.spools)))
+            self.workers.append(Worker(self.payload, next(self.files)))
+        refused: Results = []
         for worker in self.workers:
             if worker.idle:
-                yield from self._prepare(number)
-                if self.next:
-                    worker.begin(*self.next)
-                    self.next = None
-        yield from self._prepare(number)  # while all are busy, for the first that will not be
+                refused += self._prepare(number)
+                self._occupy(worker)
+        return refused + self._prepare(number)  # while all are busy, for the first that will not be
 
-    def _prepare(self, number: int) -> Settled:
-        """Have problems ready to be sent, if any are left."""
-        while not self.next and (chunk := self.agenda.take(number)):
-            some, refused = parcel(chunk, self.calls, self.sharing)
+    def _prepare(self, number: int) -> Results:
+        """Have problems ready to be sent, if any are left; return those that cannot be, if they have failed."""
+        results: Results = []
+        while not self.next and (chunk := self.agenda.take(number, SPELL)):
+            fit = fitting(chunk, self.calls)
+            self.agenda.put_back(chunk[fit:])
+            tray = self.trays.pop() if self.trays else Tray(next(self.files))
+            tray.clear()
+            some, refused = parcel(chunk[:fit], self.calls, self.sharing, tray)
             if some.lights:
-                indices = [index for index, _ in some.lights]
-                self.next = indices, pickle.dumps(some, pickle.HIGHEST_PROTOCOL)
-            for index, error in refused:
-                yield from self.agenda.settle(index, failed(index, error))
+                self.next = [index for index, _ in some.lights], frames(some), tray
+            else:
+                self.trays.append(tray)
+            results += self.agenda.settle((index, failed(index, error)) for index, error in refused)
+        return results
 
-    def hear(self) -> Settled:
+    def _occupy(self, worker: Worker) -> None:
+        """Give an idle worker what is ready to be sent."""
+        if self.next:
+            worker.begin(*self.next)
+            self.next = None
+
+    def _free(self, worker: Worker) -> None:
+        """Take back the tray of a worker that no longer looks at it."""
+        if worker.tray:
+            self.trays.append(worker.tray)
+            worker.tray = None
+
+    def hear(self) -> Iterator[Results]:
         """Wait until a worker says something, ends, or takes too long."""
         ready = wait([worker.connection for worker in self.workers], self._patience())
         for worker in list(self.workers):
             if worker.connection in ready:
-                yield from self._settled(worker.receive())
+                results = self._settled(worker.receive())
                 if worker.idle:
                     self.agenda.put_back(worker.left)
                     self.agenda.learn(worker.given - len(worker.left), worker.heard - worker.begun)
                     worker.left = {}
+                    self._free(worker)
+                    self._occupy(worker)  # before anybody looks at results
+                yield results
             if worker.ended or not worker.process.is_alive():
-                yield from self._lose(worker)
-            elif self._wait(worker) <= 0:
-                yield from self._stop(worker)
+                yield self._lose(worker)
+            elif self._is_late(worker):
+                yield self._stop(worker)
 
     def _wait(self, worker: Worker) -> float:
         """Return the seconds that are left to the call that a worker makes."""
@@ -197,41 +223,51 @@ class Crew:
     def _patience(self) -> float:
         return max(0.0, min([TICK, *map(self._wait, self.workers)]))
 
-    def _settled(self, outcomes: Iterable[Packed]) -> Settled:
-        for index, packed in outcomes:
-            yield from self.agenda.settle(index, unpacked(index, packed))
+    def _is_late(self, worker: Worker) -> bool:
+        if self._wait(worker) > 0:
+            return False
+        worker.look()
+        return self._wait(worker) <= 0
 
-    def _lose(self, worker: Worker) -> Settled:
+    def _settled(self, outcomes: Iterable[Packed]) -> Results:
+        return self.agenda.settle((index, unpacked(index, packed)) for index, packed in outcomes)
+
+    def _lose(self, worker: Worker) -> Results:
         """Take leave of a worker that has ended; the problem that it worked on may be why."""
         self.workers.remove(worker)
-        yield from self._settled(worker.end())
+        results = self._settled(worker.end())
+        self._free(worker)
         code = worker.process.exitcode
         LOG.warning("A worker process ended, with exit code %s.", code)
         if worker.ready and worker.left:
             index, *others = worker.left
             self.agenda.put_back(others)
-            yield from self.agenda.lose(index, RuntimeError(_DEAD.format(code)))
+            results += self.agenda.lose(index, RuntimeError(_DEAD.format(code)))
         elif not worker.ready:
             self.starts += 1
             if self.starts == _STARTS or (code or 0) >= 0:
                 raise RuntimeError(_UNABLE.format(code))
+        return results
 
-    def _stop(self, worker: Worker) -> Settled:
+    def _stop(self, worker: Worker) -> Results:
         """End a worker whose call takes too long, unless it came to an end in the meantime."""
         self.workers.remove(worker)
-        late = next(iter(worker.left))
-        yield from self._settled(worker.end())
-        if late in worker.left:
+        heard = worker.heard
+        results = self._settled(worker.end())
+        self._free(worker)
+        if worker.left and worker.heard == heard:
+            late = next(iter(worker.left))
             del worker.left[late]
-            yield from self.agenda.settle(late, timed_out(late, self.timeout or 0))
+            results += self.agenda.settle([(late, timed_out(late, self.timeout or 0))])
         self.agenda.put_back(worker.left)
+        return results
 
 
 def by_processes(
     task: Task, calls: Sequence[Call], agenda: Agenda, number: int, timeout: float | None
-) -> Settled:
+) -> Generator[Results, None, None]:
     """Make calls in so many processes of one thread each."""
     with closing(Crew(task, calls, agenda, timeout)) as crew:
         while agenda.unsettled:
-            yield from crew.employ(number)
+            yield crew.employ(number)
             yield from crew.hear()
