@@ -27,7 +27,7 @@ import joblib
 import numpy as np
 from memory import Memory
 from threadpoolctl import threadpool_limits
-from versus import describe_machine, show
+from versus import show
 
 import mexpress as mx
 
@@ -154,7 +154,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Time map_problems against other pools of processes.")
     parser.add_argument("--rounds", type=int, default=3)
     rounds = parser.parse_args().rounds
-    describe_machine()
     rng = np.random.default_rng(0)
     table = []
     with threadpool_limits(1):

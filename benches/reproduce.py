@@ -23,7 +23,7 @@ from unittest.mock import patch
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from versus import CORES, REST, describe_machine, show, span
+from versus import CORES, REST, show, span
 
 import mexpress as mx
 from mexpress import simulation
@@ -182,7 +182,6 @@ def main() -> None:
     setting = Setting(given.rounds, {15: 40, 30: 20, 150: 6, 500: 3}, 1, {60: 200, 150: 40, 500: 8})
     if given.small:
         setting = Setting(1, {15: 4, 30: 2, 150: 1, 500: 1}, 16, {60: 16})
-    describe_machine()
     for name in given.parts or parts:
         parts[name](setting)
 

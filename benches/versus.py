@@ -11,7 +11,6 @@ pairs of their own each and a BLAS of one.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import time
@@ -20,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from machine import CORES, machine
+from machine import CORES
 from peers import cvmatrix_folds, numpy_stacked
 from tables import show
 from threadpoolctl import threadpool_limits
@@ -170,12 +169,6 @@ def span(seconds: list[float] | np.ndarray, unit: float = 1e3) -> str:
     middle, low, high = np.median(seconds) * unit, np.min(seconds) * unit, np.max(seconds) * unit
     digits = 1 if middle >= 10 else 2
     return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
-
-
-def describe_machine() -> None:
-    """Print what this runs on."""
-    load = f"; load {os.getloadavg()[0]:.2f} when it started" if hasattr(os, "getloadavg") else ""
-    print(f"{machine()}{load}.")
 
 
 def waves(points: np.ndarray, p: int) -> np.ndarray:
