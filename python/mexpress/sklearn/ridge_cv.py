@@ -35,8 +35,8 @@ class RidgeCV(LinearModel):
         Whether the model has a constant, which is not penalised.
     scoring : str or callable, optional
         As for `Ridge.cross_val_score`. By default R^2, the mean over the pairs; for leave-one-out, and where a pair
-        validates a single datum, whose R^2 is not defined, the negated mean of weight times squared error. A callable is
-        given the weights of the data if it takes `sample_weight`; if not, a warning says so.
+        validates a single datum, whose R^2 is not defined, the negated mean of weight times squared error. A callable
+        is given the weights of the data if it takes `sample_weight`; if not, a warning says so.
     cv : int, splitter, Scheme or iterable of (train, test), optional
         What is held out, see `mexpress.schemes`; leave-one-out by default.
     alpha_per_target : bool, default False
