@@ -56,7 +56,7 @@ pub(super) fn orthonormal(
     if spectrum.rank < columns {
         return Ok(None);
     }
-    let lead = Lead::new(&spectrum, scales, projection.clone());
+    let lead = Lead::new(problem, &spectrum, scales, projection.clone());
     let mut remainder = Remainder::new((lead.left(problem, pool)?, responses), (rows, columns));
     let step = Step { taken: Some(&lead.projection), project: true };
     let basis = tasks.rows(remainder.parts(task_rows(rows)), step, pool, |block| {

@@ -134,7 +134,7 @@ impl Basis {
         let weighted = (weighted_responses(problem, responses), responses);
         let basis = (&rows[..], spectrum.rank);
         let projection = Residuals::projection(weighted, basis, pool)?;
-        let lead = Lead::new(&spectrum, scales, projection.clone());
+        let lead = Lead::new(problem, &spectrum, scales, projection.clone());
         let left = (lead.left(problem, pool)?, responses);
         let residuals = Residuals::new(left, basis, (&lead.projection, projection), pool)?;
         Ok(Self { rows, spectrum, residuals })
