@@ -175,14 +175,17 @@ def _written(
 ) -> tuple[Rows, list[Floats]]:
     """Write all blocks to a file, and return the first of them and all weights."""
     weights: list[Floats] = []
-    waiting: list[tuple[Floats, Floats]] = []  # plain and weighted rows
+    waiting: list[Floats] = []
     first = None
 
     def reduce() -> None:
         if waiting:
-            plain, reducible = (np.concatenate(some) for some in zip(*waiting, strict=True))
+            plain, roots = np.concatenate(waiting), None
+            if weights:
+                shares = np.concatenate(weights[-len(waiting) :])
+                roots = Rows(plain, plain, shares, g).weighing(weights[0]).roots(np.arange(len(plain)))
             file.write(plain.data)
-            each(reducible)
+            each(weighted(plain, roots))
             waiting.clear()
 
     numbers = 0
@@ -197,11 +200,8 @@ def _written(
             rule = "All must be of as many columns and responses, with weights or without."
             check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
         plain = bounded(rows.plain(), rows.columns)
-        roots = None
-        if rows.weights is not None:
-            weights.append(rows.weights.copy())
-            roots = rows.weighing(first.weights).roots(np.arange(len(plain)))
-        waiting.append((plain, weighted(plain, roots)))
+        waiting.append(plain)
+        weights += [] if rows.weights is None else [rows.weights.copy()]
         numbers += plain.size
         if numbers >= _GATHERED:
             reduce()
