@@ -16,6 +16,10 @@ RSxxPCT                 random xx % of the data, 100 times
 AIC, BIC, GCV           information criteria and generalised cross-validation, with trace(H) as the number of parameters
 ======================  ==================================================================================
 
+AIC and BIC know no bound below: m ln(RSS / m) falls without end as residuals vanish, and 2 trace(H) is
+2 m at most. Where a model may have about as many functions as there are data, as smoothed surfaces by default, they
+choose to interpolate: take GCV or leave-one-out there.
+
 Case does not matter, and ``PRESS`` may follow as in the paper: ``er10`` and ``ER10PRESS`` are ER10.
 
 Examples

@@ -48,7 +48,8 @@ class Suspects:
     threshold : float
         Scores above it are suspicious.
     sigma : float
-        Robust estimate of the standard deviation of the noise of a row, in the responses' unit.
+        Robust estimate of the standard deviation of the noise of a row, in the responses' unit. NaN if no datum of the
+        fit has a score.
     spread : float
         Root mean square deviation of the values from their mean, in the same unit.
     rounds : int
@@ -104,6 +105,8 @@ class Suspects:
         >>> found.doubt.split(". ")[1]
         'This is no RANSAC: it needs a clear majority that agrees'
         """
+        if math.isnan(self.sigma):
+            return "No datum of the fit has a score, so nothing tells the noise."
         beyond = self.sigma / self.spread if self.spread else 0.0
         if self.settled and self.share / DOUBTFUL_SHARE + beyond / DOUBTFUL_SCALE <= 1:
             return ""

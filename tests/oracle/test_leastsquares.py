@@ -358,6 +358,26 @@ def test_sets_larger_than_any_special_case():
     assert worst_error(problem, scheme, problem.model().cross_validate(scheme)) < 1e-9
 
 
+@pytest.mark.parametrize("weighted", [False, True], ids=["", "weights"])
+@pytest.mark.parametrize("size", [(12, 4), (60, 6), (700, 9)], ids=str)
+@pytest.mark.parametrize("near", [0.0, 1e-7], ids=["", "near rank loss"])
+def test_a_mean_that_a_column_explains_costs_no_digit(size, near, weighted):
+    """Responses that are moved by an exact multiple of a column have the residuals that they had."""
+    rng, (m, p) = np.random.default_rng(4), size
+    A = rng.normal(size=size)
+    A[:, p // 2] = 4.0
+    if near:
+        A[:, 0] = A[:, 1] + near * A[:, 0]
+    b = np.round(1024 * rng.normal(size=(m, 2))) / 1024
+    weights = 4.0 ** rng.integers(-2, 3, m) if weighted else None
+    for scheme in (loo(m), mx.schemes.k_fold(m, 4, seed=0)):
+        there, here = (
+            mx.LeastSquares(A, b + np.array([mean, -mean]), weights=weights).cross_validate(scheme).residuals
+            for mean in (0.0, 2.0**30)
+        )
+        np.testing.assert_allclose(here, there, rtol=0, atol=1e-9 * np.abs(there).max())
+
+
 # ------------------------------------------------------------------------------------------------ rank loss
 
 

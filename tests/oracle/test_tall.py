@@ -1,5 +1,7 @@
 """Fits of rows that are read a block at a time: the fit in memory is the oracle, itself tested against refits."""
 
+import copy
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -158,6 +160,47 @@ def test_memory_of_a_block_may_serve_for_the_next_one():
     model = mx.LeastSquares.from_blocks(blocks())
     np.testing.assert_allclose(model.fit_rms, expected.fit_rms, rtol=1e-12)
     np.testing.assert_allclose(model.press, expected.press, rtol=1e-12)
+
+
+def test_empty_blocks_are_passed_over():
+    A, b, weights = make(2, 3, True)
+    nothing = A[:0], b[:0], weights[:0]
+    blocks = [nothing, *blocks_of(A, b, weights, 2), nothing]
+    expect_same_fit(mx.LeastSquares.from_blocks(blocks, 2), mx.LeastSquares(A, b, 2, weights), P, N)
+    with pytest.raises(ValueError, match=r"^Invalid blocks\. .* Given none that has rows"):
+        mx.LeastSquares.from_blocks([nothing, nothing], 2)
+
+
+def test_many_small_blocks_are_reduced_together(monkeypatch):
+    A, b, weights = make(weighted=True)
+    heights, reduced = [], tall.reduced
+
+    def counted(rows, threads):
+        heights.append(len(rows))
+        return reduced(rows, threads)
+
+    monkeypatch.setattr(tall, "reduced", counted)
+    model = mx.LeastSquares.from_blocks(blocks_of(A, b, weights, data=1))
+    assert heights == [N]
+    expect_same_fit(model, mx.LeastSquares(A, b, weights=weights), P, N)
+
+
+def test_results_are_read_only_and_a_model_is_no_file(monkeypatch):
+    threads, product = [], tall._core.product
+
+    def counted(*arguments):
+        threads.append(arguments[-1])
+        return product(*arguments)
+
+    monkeypatch.setattr(tall._core, "product", counted)
+    model = mx.LeastSquares.from_blocks(GOOD, threads=1)
+    for array in (model.coefficients, model.residuals, model.leverage):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    assert threads == [1]
+    for attempt in (pickle.dumps, copy.deepcopy):
+        with pytest.raises(TypeError, match=r"^Invalid model\. .* build it again from the blocks"):
+            attempt(model)
 
 
 def test_no_bit_depends_on_threads(monkeypatch):

@@ -211,6 +211,15 @@ def test_matches_without_a_score_are_told(run, wrong):
     assert run("suspects", wrong, "--json", "--radius", "60")[2] == errors
 
 
+def test_matches_of_which_none_has_a_score_are_not_judged(run, wrong):
+    status, text, errors = run("suspects", wrong, "--quiet", "--radius", "200")
+    assert (status, text) == (0, "no match has a score, so none is judged\n")
+    assert errors.startswith("mexpress: 80 of 80 matches have no score")
+    said = json.loads(run("suspects", wrong, "--radius", "200", "--json")[1])
+    assert (said["suspects"], said["sigma"]) == ([], None)
+    assert said["doubt"].startswith("No datum of the fit has a score")
+
+
 def test_matches_that_are_missing_need_no_score(run, tmp_path):
     rows = np.hstack([SOURCE, TARGET])
     rows[:2] = -9999

@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -359,7 +360,9 @@ def test_groups_reach_the_splitter():
             lambda: Ridge().cross_val_predict(X, Y, cv=ShuffleSplit(3)),
             "Invalid cv.*validate every datum once",
         ),
-        (lambda: Ridge().cross_val_predict(X, Y, cv="folds"), "cv"),
+        (lambda: Ridge().cross_val_predict(X, Y, cv="folds"), "Invalid cv.*'folds'"),
+        (lambda: Ridge().cross_val_predict(X, Y, cv=b"x"), "Invalid cv.*b'x'"),
+        (lambda: RidgeCV(cv=b"x").fit(X, Y), "Invalid cv.*b'x'"),
         (lambda: Ridge().cross_val_predict(X, Y[:-1]), "inconsistent numbers of samples"),
         (lambda: Ridge().cross_val_predict(np.where(X > 9, np.nan, X), Y), "NaN"),
         (lambda: Ridge().cross_val_predict(coo_array(X), Y), "[Ss]parse"),
@@ -463,6 +466,26 @@ def test_a_scorer_of_ones_own_sees_the_features(y):
         close(scores, cross_val_score(refits.Ridge(2.0, solver="svd"), X, y, **asked))
         found, expected = RidgeCV(ALPHAS, **asked).fit(X, y), refits.RidgeCV(ALPHAS, **asked).fit(X, y)
         close(found.best_score_, expected.best_score_)
+
+
+@pytest.mark.parametrize("weighs", [False, True])
+def test_a_scorer_is_given_weights_if_it_takes_them(weighs):
+    def by_weight(estimator, features, truth, sample_weight=None):
+        return -np.average(np.abs(truth - estimator.predict(features)), weights=sample_weight)
+
+    def plain(estimator, features, truth):
+        return by_weight(estimator, features, truth)
+
+    asked = {"cv": 4, "scoring": by_weight if weighs else plain}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = RidgeCV(ALPHAS, **asked).fit(X, Y[:, 0], WEIGHTS)
+        assert [str(each.message)[:30] for each in caught] == ["scoring takes no sample_weight"] * (
+            not weighs
+        )
+        expected = refits.RidgeCV(ALPHAS, **asked).fit(X, Y[:, 0], WEIGHTS)
+    assert found.alpha_ == expected.alpha_
+    close(found.best_score_, expected.best_score_)
 
 
 def test_a_scorer_may_select_for_every_response():

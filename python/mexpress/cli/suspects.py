@@ -73,6 +73,9 @@ def _run(arguments: argparse.Namespace) -> None:
         return
     n = int(np.isfinite(found.scores).sum())
     suspects = content["suspects"]
+    if not n and not suspects:
+        print("no match has a score, so none is judged")
+        return
     print(f"{len(suspects)} of {n} matches look wrong: scores above {found.threshold:g}")
     if suspects:
         print(f"\n{'match':>7} {'score':>10} {'x1':>11} {'y1':>11} {'x2':>11} {'y2':>11}")

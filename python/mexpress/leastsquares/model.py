@@ -23,6 +23,7 @@ from mexpress.leastsquares.cross_validation import (
     warn_of_rank_loss,
 )
 from mexpress.leastsquares.problem import Problem
+from mexpress.leastsquares.rows import read_only
 from mexpress.leastsquares.tall import TallLeastSquares
 from mexpress.schemes import Scheme, leave_one_out
 
@@ -185,11 +186,11 @@ class LeastSquares:
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal of the hat matrix, (m,)."""
-        return _read_only(self._factor.leverage)
+        return read_only(self._factor.leverage)
 
     def _kept(self, columns: Floats) -> Floats:
         """One column for each response, or the only one, read-only."""
-        return _read_only(columns[:, 0] if self._flat else columns)
+        return read_only(columns[:, 0] if self._flat else columns)
 
     def _over_basis(self, rows: Floats, threads: int | None = None) -> Floats:
         """Return rows (k, p) of numbers a . x over an orthonormal basis, (k, p): ``a R^-1``.
@@ -403,8 +404,3 @@ def _square_blocks(flat: Floats, sizes: Integers) -> list[Floats]:
     """Split a flat array into square matrices."""
     parts = np.split(flat, np.cumsum(sizes**2)[:-1]) if len(sizes) else []
     return [part.reshape(size, size) for part, size in zip(parts, sizes, strict=True)]
-
-
-def _read_only(array: Floats) -> Floats:
-    array.flags.writeable = False
-    return array

@@ -18,6 +18,9 @@ from mexpress.leastsquares.problem import expect_weights, weight_exponents
 _NUMBERS = 1 << 22
 """Numbers that are read at once: 32 MiB."""
 
+_GATHERED = 1 << 16
+"""Numbers of blocks that are reduced together: small ones would take longer each than the work on them."""
+
 _RULE = "It must be (A, b) or (A, b, weights), or yield such tuples: (m, p), (m,) or (m, r), and (n,) arrays."
 
 
@@ -98,10 +101,14 @@ class Rows:
 
     def take(self, rows: Integers) -> Floats:
         """Return some weighted rows of ``[A, b]``, (k, p + r)."""
-        together = np.empty((len(rows), self.columns + self.responses))
-        together[:, : self.columns] = self.A[rows]
-        together[:, self.columns :] = self.b[rows].reshape(len(rows), self.responses)
-        return weighted(together, self.roots(rows))
+        return weighted(replace(self, A=self.A[rows], b=self.b[rows]).plain(), self.roots(rows))
+
+    def plain(self) -> Floats:
+        """Return a copy of ``[A, b]``, (m, p + r), without weights."""
+        together = np.empty((len(self.A), self.columns + self.responses))
+        together[:, : self.columns] = self.A
+        together[:, self.columns :] = self.b.reshape(len(self.A), self.responses)
+        return together
 
     def blocks(self) -> Iterator[Integers]:
         """Successive rows that are read at once."""
@@ -168,8 +175,23 @@ def _written(
 ) -> tuple[Rows, list[Floats]]:
     """Write all blocks to a file, and return the first of them and all weights."""
     weights: list[Floats] = []
+    waiting: list[Floats] = []
     first = None
+
+    def reduce() -> None:
+        if waiting:
+            plain, roots = np.concatenate(waiting), None
+            if weights:
+                shares = np.concatenate(weights[-len(waiting) :])
+                roots = Rows(plain, plain, shares, g).weighing(weights[0]).roots(np.arange(len(plain)))
+            file.write(plain.data)
+            each(weighted(plain, roots))
+            waiting.clear()
+
+    numbers = 0
     for given in blocks:
+        if _is_empty(given):
+            continue
         rows = Rows.checked(given, g)
         if first is None:  # the memory of a block may serve for the next one
             first = replace(rows, weights=None if rows.weights is None else rows.weights.copy())
@@ -177,19 +199,36 @@ def _written(
         if not alike or (rows.weights is None) != (first.weights is None):
             rule = "All must be of as many columns and responses, with weights or without."
             check.refuse("blocks", rule, f"shapes {rows.A.shape} and {rows.b.shape}")
-        plain = bounded(Rows(rows.A, rows.b, None, g).take(np.arange(len(rows.A))), rows.columns)
-        file.write(plain.data)
+        plain = bounded(rows.plain(), rows.columns)
+        waiting.append(plain)
         weights += [] if rows.weights is None else [rows.weights.copy()]
-        each(weighted(plain, rows.weighing(first.weights).roots(np.arange(len(plain)))))
+        numbers += plain.size
+        if numbers >= _GATHERED:
+            reduce()
+            numbers = 0
     if first is None:
-        check.refuse("blocks", _RULE, "none")
+        check.refuse("blocks", _RULE, "none that has rows")
+    reduce()
     file.flush()
     return first, weights
+
+
+def _is_empty(block: Any) -> bool:
+    """Whether a block has no rows, and as many responses."""
+    return (
+        isinstance(block, tuple) and len(block) > 1 and all(np.shape(each)[:1] == (0,) for each in block[:2])
+    )
 
 
 def weighted(rows: Floats, roots: Floats | None) -> Floats:
     """Rows times the roots of their weights, if they have any."""
     return rows if roots is None else rows * roots
+
+
+def read_only(array: Floats) -> Floats:
+    """The array itself, which nobody may change."""
+    array.flags.writeable = False
+    return array
 
 
 def bounded(rows: Floats, p: int) -> Floats:

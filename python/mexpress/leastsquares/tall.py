@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from mexpress.leastsquares.cross_validation import CrossValidation, expect_schem
 from mexpress.leastsquares.dask_rows import DaskRows
 from mexpress.leastsquares.finished import Finished
 from mexpress.leastsquares.parts import Part, Parts, data_order, predicted
-from mexpress.leastsquares.rows import Rows, rows_of
+from mexpress.leastsquares.rows import Rows, read_only, rows_of
 from mexpress.progress import shown
 from mexpress.schemes import LazyNeighbourhoods, Scheme, leave_one_out
 
@@ -74,6 +74,7 @@ class TallLeastSquares:
     _rows: Rows
     _triangle: Floats
     """The triangle of all rows."""
+    _threads: int | None = None
 
     @classmethod
     def of(cls, blocks: Any, coupling: int, directory: Any, threads: int | None) -> TallLeastSquares:
@@ -82,29 +83,33 @@ class TallLeastSquares:
         if DaskRows.have(blocks):
             dask_rows = DaskRows.checked(blocks, g)
             dask_rows = dask_rows.weighing(dask_rows.weights)
-            return cls(dask_rows, dask_rows.triangle(DaskRows.threads(threads)))
+            return cls(dask_rows, dask_rows.triangle(DaskRows.threads(threads)), threads)
 
         def reduce(rows: Floats) -> None:
             above = stack.pop().reshape(-1, rows.shape[1])
             stack.append(merged(np.concatenate([above, reduced(rows, workers)]), workers))
 
         rows = rows_of(blocks, g, directory, reduce)
-        return cls(rows, stack[0])
+        return cls(rows, stack[0], threads)
 
     def __repr__(self) -> str:
         size = f"{self.n_data} data, {len(self._rows.A)} rows, {self._rows.columns} columns, rank {self.rank}"
         return f"TallLeastSquares({size}, fit_rms={self.fit_rms:.7g})"
 
+    def __reduce__(self) -> NoReturn:
+        rule = "It cannot be pickled or copied: build it again from the blocks."
+        check.refuse("model", rule, repr(self), TypeError)
+
     @cached_property
     def _whole(self) -> _core.Factor:
         """The fit of the triangle of all rows."""
-        return _fit_of(self._triangle, self._rows.columns, len(self._rows.A), check.threads(None))
+        return _fit_of(self._triangle, self._rows.columns, len(self._rows.A), check.threads(self._threads))
 
     @property
     def coefficients(self) -> Floats:
         """The solution x, (p,) or (p, r)."""
         coefficients = np.ascontiguousarray(self._whole.coefficients)
-        return coefficients[:, 0] if self._rows.b.ndim == 1 else coefficients
+        return read_only(coefficients[:, 0] if self._rows.b.ndim == 1 else coefficients)
 
     @property
     def rank(self) -> int:
@@ -129,16 +134,16 @@ class TallLeastSquares:
         plain = replace(self._rows, weights=None, coupling=1)
         x = self.coefficients.reshape(plain.columns, -1)
         of_both = np.vstack([-x, np.eye(plain.responses)])
-        calls = ((some, of_both, plain.threads(None)) for some in plain.blocks())
-        return np.concatenate([*plain.each(_core.product, calls)]).reshape(plain.b.shape)
+        calls = ((some, of_both, plain.threads(self._threads)) for some in plain.blocks())
+        return read_only(np.concatenate([*plain.each(_core.product, calls)]).reshape(plain.b.shape))
 
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal of the hat matrix, (m,); NaN if rank is lost."""
         rows = self._rows
-        size = rows.columns, len(rows.A), rows.threads(None)
+        size = rows.columns, len(rows.A), rows.threads(self._threads)
         calls = ((some, self._triangle, *size) for some in rows.blocks())
-        return np.concatenate([*rows.each(_leverage, calls)])
+        return read_only(np.concatenate([*rows.each(_leverage, calls)]))
 
     def cross_validate(
         self,
@@ -185,7 +190,7 @@ class TallLeastSquares:
         weights = None if rows.weights is None else np.repeat(rows.weights, rows.coupling)
         alone = leave_one_out(len(rows.A))
         return self._predicted(
-            replace(rows, weights=weights, coupling=1), alone, rows.threads(None), False, None
+            replace(rows, weights=weights, coupling=1), alone, rows.threads(self._threads), False, None
         ).score
 
     def _predicted(

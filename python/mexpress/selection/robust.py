@@ -373,8 +373,10 @@ def _scores(
         # NaN is beyond the horizon of a warp.
         errors[~kept] = np.nan_to_num(lengths_of(away) / np.sqrt(away.shape[1]), nan=np.inf, posinf=np.inf)
     known = kept & np.isfinite(errors)
+    if not known.any():  # nothing tells the noise, so nothing is wrong
+        return np.full(n, np.nan), np.nan
     per_row = int(freedom[0])
-    noise = float(np.median(errors[known])) / _noise(0.5, per_row) if known.any() else 0.0
+    noise = float(np.median(errors[known])) / _noise(0.5, per_row)
     sigma = max(noise, ROUNDING * deviation(data.values[some]))
     nearby = around.quantile(errors, known, _QUARTILE, _NEAR) / _noise(_QUARTILE, per_row)
     scale = np.where(kept, np.maximum(nearby, sigma), sigma) if sigma else 1.0

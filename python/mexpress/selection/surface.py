@@ -21,7 +21,7 @@ from mexpress.schemes import Scheme
 from mexpress.selection import rivals, saved
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_placement
 from mexpress.selection.data import Samples, present
-from mexpress.selection.defaults import AUTO, is_automatic, surface_defaults
+from mexpress.selection.defaults import is_automatic, surface_defaults
 from mexpress.selection.fitted import FittedSelection, select_of
 from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
@@ -261,7 +261,7 @@ def select_surface(
     criteria: Sequence[str] | Mapping[str, Scheme] | None = None,
     max_count: int | None = None,
     min_distance: float | None = None,
-    smoothing: float | ArrayLike | str = AUTO,
+    smoothing: float | ArrayLike | str = "auto",
     seed: int = 0,
     threads: int | None = None,
     progress: bool | Callable[..., Any] = False,

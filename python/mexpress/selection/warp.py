@@ -21,7 +21,7 @@ from mexpress.schemes import Scheme
 from mexpress.selection import rivals, saved
 from mexpress.selection.candidates import Candidates, CriteriaRequest, checked_counts, checked_placement
 from mexpress.selection.data import Matches, present
-from mexpress.selection.defaults import AUTO, is_automatic, warp_defaults
+from mexpress.selection.defaults import is_automatic, warp_defaults
 from mexpress.selection.fitted import FittedSelection, select_of
 from mexpress.selection.incomplete import RAISE
 from mexpress.selection.queries import Queries
@@ -218,7 +218,7 @@ def select_warp(
     fractional: bool = True,
     counts: ArrayLike | None = None,
     placement: str | None = None,
-    smoothing: float | ArrayLike | str = AUTO,
+    smoothing: float | ArrayLike | str = "auto",
     image_size: tuple[float, float] | None = None,
     seed: int = 0,
     threads: int | None = None,

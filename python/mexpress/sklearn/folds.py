@@ -33,6 +33,9 @@ def scheme_of(cv: Any, X: Floats, y: Floats, groups: Any = None) -> Scheme:
         if cv.n_data != n:
             check.refuse("cv", f"It must be over the {n} data of X.", f"a scheme over {cv.n_data} data")
         scheme = cv
+    elif isinstance(cv, str | bytes):  # bytes have a method "split"
+        rule = "It must be a number of folds, a splitter, a Scheme, or an iterable of (train, test)."
+        check.refuse("cv", rule, check.describe(cv), TypeError)
     elif isinstance(cv, LeaveOneOut):  # its n lists of training data take longer than all predictions
         scheme = leave_one_out(n)
     else:

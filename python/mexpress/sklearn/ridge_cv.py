@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from typing import Any, Self
 
@@ -14,7 +15,7 @@ from mexpress._validation import Floats
 from mexpress.schemes import leave_one_out
 from mexpress.sklearn.linear import LinearModel
 from mexpress.sklearn.regression import Regression
-from mexpress.sklearn.scores import fold_scores
+from mexpress.sklearn.scores import fold_scores, scorer_of, takes_weights
 
 _ALPHAS = "They must be numbers of at least 0, one or more."
 
@@ -34,7 +35,8 @@ class RidgeCV(LinearModel):
         Whether the model has a constant, which is not penalised.
     scoring : str or callable, optional
         As for `Ridge.cross_val_score`. By default R^2, the mean over the pairs; for leave-one-out, and where a pair
-        validates a single datum, whose R^2 is not defined, the negated mean of weight times squared error.
+        validates a single datum, whose R^2 is not defined, the negated mean of weight times squared error. A callable
+        is given the weights of the data if it takes `sample_weight`; if not, a warning says so.
     cv : int, splitter, Scheme or iterable of (train, test), optional
         What is held out, see `mexpress.schemes`; leave-one-out by default.
     alpha_per_target : bool, default False
@@ -112,8 +114,9 @@ class RidgeCV(LinearModel):
         )
         cv = leave_one_out(len(features)) if self.cv is None else self.cv
         regression = Regression.of(features, responses, cv, groups, sample_weight).without_absent()
+        weights = self._score_weights(regression)
         scores = np.array(
-            [self._scores(regression, predictions) for predictions in self._tried(regression, alphas)]
+            [self._scores(regression, each, weights) for each in self._tried(regression, alphas)]
         )
         if np.isnan(scores).all(axis=0).any():
             check.refuse(
@@ -133,10 +136,19 @@ class RidgeCV(LinearModel):
         for held_out in problem.ridge_regressions(alphas):
             yield held_out.predict(regression.scheme)
 
-    def _scores(self, regression: Regression, predictions: Floats) -> Floats:
+    def _score_weights(self, regression: Regression) -> Floats | None:
+        """Weights of the validated data in scores, (t,), if there are some and the scorer takes them."""
+        if regression.weights is None:
+            return None
+        if not takes_weights(scorer_of(self.scoring)):
+            message = "scoring takes no sample_weight: the weights count in the fits, not in the scores."
+            warnings.warn(message, UserWarning, stacklevel=3)
+            return None
+        return regression.weights[regression.scheme.validated.indices]
+
+    def _scores(self, regression: Regression, predictions: Floats, some: Floats | None) -> Floats:
         """Score of predictions, (1,), or of those of each response, (r,)."""
-        validated, weights = regression.scheme.validated, regression.weights
-        some = None if weights is None else weights[validated.indices]
+        validated = regression.scheme.validated
         ends = np.append(validated.offsets[:-1][validated.sizes > 0], validated.offsets[-1])
         if self.scoring is None and (self.cv is None or np.diff(ends).min() < 2):
             errors = (regression.validated - predictions) ** 2

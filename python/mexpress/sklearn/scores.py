@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,19 @@ class Predicted(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
 def scorer_of(scoring: Any) -> Any:
     """Return the scorer that a name or a callable stands for; R^2 if None."""
     return get_scorer("r2" if scoring is None else scoring)
+
+
+def takes_weights(scorer: Any) -> bool:
+    """Whether a scorer takes `sample_weight`, as scikit-learn's searches ask.
+
+    Examples
+    --------
+    >>> takes_weights(scorer_of("r2")), takes_weights(lambda estimator, X, y: 0.0)
+    (True, False)
+    """
+    if hasattr(scorer, "_accept_sample_weight"):
+        return bool(scorer._accept_sample_weight())
+    return "sample_weight" in signature(scorer).parameters
 
 
 def fold_scores(

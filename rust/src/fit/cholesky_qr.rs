@@ -5,7 +5,8 @@
 //! that are small beside others keep their digits, which reflections lose.
 
 use crate::error::Error;
-use crate::fit::factor::{Basis, Problem, weighted_responses};
+use crate::fit::factor::{Basis, Problem};
+use crate::fit::lead::Lead;
 use crate::fit::linalg;
 use crate::fit::panels::{self, BLOCK, Lanes, PANEL};
 use crate::fit::rank::Spectrum;
@@ -50,15 +51,19 @@ pub(super) fn orthonormal(
     }
     let Some(fine) = panels::cholesky(gram, columns, pool)? else { return Ok(None) };
     linalg::solve_lower(&fine, columns, &mut projection, responses);
-    let mut remainder = Remainder::new((weighted_responses(problem, responses), responses), (rows, columns));
-    let step = Step { taken: Some(&projection), project: true };
+    let triangle = triangle(&coarse, &fine, columns, pool)?;
+    let spectrum = Spectrum::new(&triangle, columns, columns, counted, pool)?;
+    if spectrum.rank < columns {
+        return Ok(None);
+    }
+    let lead = Lead::new(problem, &spectrum, scales, projection.clone());
+    let mut remainder = Remainder::new((lead.left(problem, pool)?, responses), (rows, columns));
+    let step = Step { taken: Some(&lead.projection), project: true };
     let basis = tasks.rows(remainder.parts(task_rows(rows)), step, pool, |block| {
         panels::solve(&fine, columns, columns, block);
     })?;
     let residuals = remainder.finish(&basis, projection, pool)?;
-    let triangle = triangle(&coarse, &fine, columns, pool)?;
-    let spectrum = Spectrum::new(&triangle, columns, columns, counted, pool)?;
-    Ok((spectrum.rank == columns).then_some(Basis { rows: basis, spectrum, residuals }))
+    Ok(Some(Basis { rows: basis, spectrum, residuals }))
 }
 
 /// A matrix in panels, cut into tasks of some blocks.

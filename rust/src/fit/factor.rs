@@ -4,6 +4,7 @@
 //! cut into blocks of rows that depend on the shape alone, never on the number of threads.
 
 use crate::error::Error;
+use crate::fit::lead::Lead;
 use crate::fit::linalg::{self, dot};
 use crate::fit::rank::{Spectrum, first_deficient, numerical_rank};
 use crate::fit::residuals::Residuals;
@@ -131,7 +132,11 @@ impl Basis {
         let (rows, spectrum) = householder::orthonormal(problem, scales, counted, pool)?;
         let responses = problem.responses.len() / problem.rows;
         let weighted = (weighted_responses(problem, responses), responses);
-        let residuals = Residuals::new(weighted, (&rows, spectrum.rank), None, pool)?;
+        let basis = (&rows[..], spectrum.rank);
+        let projection = Residuals::projection(weighted, basis, pool)?;
+        let lead = Lead::new(problem, &spectrum, scales, projection.clone());
+        let left = (lead.left(problem, pool)?, responses);
+        let residuals = Residuals::new(left, basis, (&lead.projection, projection), pool)?;
         Ok(Self { rows, spectrum, residuals })
     }
 }
@@ -176,7 +181,8 @@ impl Factor {
         let responses = problem.responses.len() / problem.rows;
         let mut weighted = weighted_responses(problem, responses);
         weighted.resize(basis.len().checked_div(rank).unwrap_or(problem.total_rows()) * responses, 0.0);
-        let residuals = Residuals::new((weighted, responses), (&basis, rank), Some(projection), pool)?;
+        let residuals =
+            Residuals::new((weighted, responses), (&basis, rank), (&projection.clone(), projection), pool)?;
         let mut factor = Self::fitted(problem, (basis, rank), residuals, fingerprints);
         factor.columns = rank;
         factor.coefficients.clone_from(&factor.projection);

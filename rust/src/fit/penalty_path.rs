@@ -73,7 +73,7 @@ impl PenaltyPath {
             None => linalg::transposed(&turn, rows),
         };
         let responses = (weighted_responses(&design, responses), responses);
-        let projection = Residuals::new(responses, (&left, cosines.len()), None, pool)?.projection;
+        let projection = Residuals::projection(responses, (&left, cosines.len()), pool)?;
         Ok(Self { unit, least, left, projection, cosines, sines, back, columns, fingerprints })
     }
 

@@ -19,25 +19,33 @@ pub(super) struct Residuals {
 }
 
 impl Residuals {
-    /// Of responses (rows x responses) in a basis (rows x rank, row-major); `known`, their projection, spares a pass.
+    /// Of what is left of responses (rows x responses) in a basis (rows x rank, row-major), and the projections of what is
+    /// left and of the whole, to rounding of the whole.
     pub fn new(
-        (responses, width): (Vec<f64>, usize),
+        (left, width): (Vec<f64>, usize),
         (basis, rank): (&[f64], usize),
-        known: Option<Vec<f64>>,
+        (taken, known): (&[f64], Vec<f64>),
         pool: &Pool<'_>,
     ) -> Result<Self, Error> {
-        let rows = basis.len().checked_div(rank).unwrap_or(0);
-        let mut remainder = Remainder::new((responses, width), (rows, rank));
-        let known = match known {
-            Some(projection) => projection,
-            None => {
-                remainder.pass(basis, Step { taken: None, project: true }, pool)?;
-                remainder.projection()
-            }
-        };
-        remainder.pass(basis, Step { taken: Some(&known), project: true }, pool)?;
+        let mut remainder = Remainder::new((left, width), (height(basis, rank), rank));
+        remainder.pass(basis, Step { taken: Some(taken), project: true }, pool)?;
         remainder.finish(basis, known, pool)
     }
+
+    /// `Q^T b` alone.
+    pub fn projection(
+        (responses, width): (Vec<f64>, usize),
+        (basis, rank): (&[f64], usize),
+        pool: &Pool<'_>,
+    ) -> Result<Vec<f64>, Error> {
+        let mut remainder = Remainder::new((responses, width), (height(basis, rank), rank));
+        remainder.pass(basis, Step { taken: None, project: true }, pool)?;
+        Ok(remainder.projection())
+    }
+}
+
+fn height(basis: &[f64], rank: usize) -> usize {
+    basis.len().checked_div(rank).unwrap_or(0)
 }
 
 /// What is left of responses while more and more is taken.
@@ -85,7 +93,7 @@ impl Remainder {
         pool.run(tasks.collect::<Vec<_>>().into_iter(), || (), |(), (basis, mut part)| part.step(step, basis))
     }
 
-    /// After what is `known` of the projection was taken, and the rest projected: residuals far smaller than the responses
+    /// After what is `known` of the projection was taken, however that was done, and the rest projected: residuals far smaller than the responses
     /// keep a part in Q that is rounding of the responses.
     pub fn finish(mut self, basis: &[f64], known: Vec<f64>, pool: &Pool<'_>) -> Result<Residuals, Error> {
         let rest = self.projection();
@@ -178,9 +186,11 @@ mod tests {
             let basis = vec![root.recip(); rows];
             let responses: Vec<f64> = (0..rows).flat_map(|i| [i as f64, 1e9 + (i % 2) as f64]).collect();
             let means = [(rows - 1) as f64 / 2.0, 1e9 + 0.5];
-            for known in [None, Some(means.map(|mean| mean * root).to_vec())] {
-                let pool = Pool::new(2, &never);
-                let found = Residuals::new((responses.clone(), 2), (&basis, 1), known, &pool).unwrap();
+            let pool = Pool::new(2, &never);
+            let projection = Residuals::projection((responses.clone(), 2), (&basis, 1), &pool).unwrap();
+            for known in [projection, means.map(|mean| mean * root).to_vec()] {
+                let both = (&known[..], known.clone());
+                let found = Residuals::new((responses.clone(), 2), (&basis, 1), both, &pool).unwrap();
                 for (e, b) in found.left.chunks_exact(2).zip(responses.chunks_exact(2)) {
                     assert!((0..2).all(|r| (e[r] - (b[r] - means[r])).abs() < 1e-6));
                 }
@@ -194,9 +204,9 @@ mod tests {
     fn nothing_takes_nothing() {
         let never = AtomicBool::new(false);
         let pool = Pool::new(2, &never);
-        let found = Residuals::new((vec![1.0, 2.0], 1), (&[], 0), None, &pool).unwrap();
+        let found = Residuals::new((vec![1.0, 2.0], 1), (&[], 0), (&[], Vec::new()), &pool).unwrap();
         assert_eq!(found.left, [1.0, 2.0]);
-        let found = Residuals::new((Vec::new(), 0), (&[0.6, 0.8], 1), None, &pool).unwrap();
+        let found = Residuals::new((Vec::new(), 0), (&[0.6, 0.8], 1), (&[], Vec::new()), &pool).unwrap();
         assert_eq!((found.leverage, found.projection.len()), (vec![0.36, 0.8 * 0.8], 0));
     }
 }
