@@ -53,7 +53,7 @@ def main():
     print("| rows | what | seconds | memory here | sent | in memory, seconds | difference |")
     print("|" + "---|" * 7)
     with LocalCluster(
-        n_workers=told.workers, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=told.workers, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as cluster:
         for order, points in [("in order", sorted_places), ("in no order", places)]:
             with Client(cluster) as client:
