@@ -112,18 +112,17 @@ impl Bordered {
             let at = self.skip + panel * stride;
             let (entries, _) = self.storage[at..at + stride].as_chunks_mut::<PANEL>();
             let width = PANEL.min(order.saturating_sub(first));
-            if width < PANEL {
-                entries.fill([0.0; PANEL]);
-            }
             if width == 0 {
+                entries.fill([0.0; PANEL]);
                 continue;
             }
-            // Lanes beyond the last row repeat it, and are left alone.
+            // Lanes beyond the last row repeat it: all are as many, so that each column is one vector.
             let lines: [&[f64]; PANEL] = std::array::from_fn(|lane| rows(first + lane.min(width - 1)));
             for (entries, &column) in entries.iter_mut().zip(&columns[..first + width]) {
-                for (entry, line) in entries[..width].iter_mut().zip(lines) {
-                    *entry = -line[column];
-                }
+                *entries = lines.map(|line| -line[column]);
+            }
+            if width < PANEL {
+                entries.iter_mut().for_each(|lanes| lanes[width..].fill(0.0));
             }
             (0..width).for_each(|lane| entries[first + lane][lane] += 1.0);
         }

@@ -6,6 +6,8 @@
 //! corrected at once, so that one pass over the basis serves all of them. Where that is
 //! not enough, see [`crate::holdout::rescue::refit`].
 
+use pulp::{Arch, Simd, WithSimd};
+
 use super::Left;
 use crate::error::Error;
 use crate::fit::factor::Factor;
@@ -36,11 +38,51 @@ impl Inverse<'_> {
         match self {
             Self::Primal(system) => x.copy_from_slice(system.solve(x)),
             Self::Dual(system, rows) => {
-                let held: Vec<f64> = rows.iter().map(|&i| dot(factor.basis_row(i), x)).collect();
-                for (z, &i) in system.solve(&held).iter().zip(*rows) {
-                    x.iter_mut().zip(factor.basis_row(i)).for_each(|(x, q)| *x += z * q);
-                }
+                let mut held = vec![0.0; rows.len()];
+                let arch = Arch::new();
+                arch.dispatch(HeldOut { factor, rows, x, out: &mut held });
+                arch.dispatch(Spread { factor, rows, z: system.solve(&held), x });
             }
+        }
+    }
+}
+
+/// `out <- Q_K x`.
+struct HeldOut<'a> {
+    factor: &'a Factor,
+    rows: &'a [usize],
+    x: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl WithSimd for HeldOut<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { factor, rows, x, out } = self;
+        for (out, &i) in out.iter_mut().zip(rows) {
+            *out = dot(factor.basis_row(i), x);
+        }
+    }
+}
+
+/// `x <- x + Q_K^T z`.
+struct Spread<'a> {
+    factor: &'a Factor,
+    rows: &'a [usize],
+    z: &'a [f64],
+    x: &'a mut [f64],
+}
+
+impl WithSimd for Spread<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { factor, rows, z, x } = self;
+        for (z, &i) in z.iter().zip(rows) {
+            x.iter_mut().zip(factor.basis_row(i)).for_each(|(x, q)| *x += z * q);
         }
     }
 }
@@ -112,10 +154,8 @@ impl Refiner {
         // The closed form: Q^T e = 0, but for rounding, which the steps that follow take care of.
         for &s in &open {
             let change = &mut self.changes[s * rank..(s + 1) * rank];
-            for &row in sets[s].rows {
-                let e = factor.residual_row(row)[c];
-                change.iter_mut().zip(factor.basis_row(row)).for_each(|(x, q)| *x -= e * q);
-            }
+            let e: Vec<f64> = sets[s].rows.iter().map(|&row| -factor.residual_row(row)[c]).collect();
+            Arch::new().dispatch(Spread { factor, rows: sets[s].rows, z: &e, x: change });
             sets[s].inverse.apply(factor, change);
             before[s] = dot(change, change);
         }

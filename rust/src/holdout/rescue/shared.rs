@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::error::Error;
 use crate::fit::linalg;
@@ -134,7 +134,7 @@ impl Shared {
             let tau = linalg::householder(&mut row[j], reflector);
             if tau.is_finite() {
                 let pivot = row[j];
-                Arch::new().dispatch(|| reflect(reflector, tau.recip(), row, added, j + 1));
+                Arch::new().dispatch(Reflect { reflector, scale: tau.recip(), row, added, from: j + 1 });
                 row[j] = pivot;
             }
         }
@@ -147,21 +147,35 @@ impl Shared {
 }
 
 /// Reflects a row of the triangle and all that are added, from a column on; what stands before it counts no more.
-#[inline(always)]
-fn reflect(reflector: &[f64], scale: f64, row: &mut [f64], added: &mut [f64], from: usize) {
-    let stride = row.len();
-    for (k, head) in row.as_chunks_mut::<LANES>().0.iter_mut().enumerate().skip(from / LANES) {
-        let place = |i: usize| i * stride + k * LANES;
-        let mut along = *head;
-        for (i, v) in reflector.iter().enumerate() {
-            let rest = &added[place(i)..place(i) + LANES];
-            along.iter_mut().zip(rest).for_each(|(sum, x)| *sum += v * x);
-        }
-        along.iter_mut().for_each(|x| *x *= scale);
-        head.iter_mut().zip(along).for_each(|(x, along)| *x -= along);
-        for (i, v) in reflector.iter().enumerate() {
-            let rest = &mut added[place(i)..place(i) + LANES];
-            rest.iter_mut().zip(along).for_each(|(x, along)| *x -= v * along);
+struct Reflect<'a> {
+    reflector: &'a [f64],
+    scale: f64,
+    row: &'a mut [f64],
+    added: &'a mut [f64],
+    from: usize,
+}
+
+/// Not a closure, whose code may be compiled apart, for the narrowest vectors.
+impl WithSimd for Reflect<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { reflector, scale, row, added, from } = self;
+        let stride = row.len();
+        for (k, head) in row.as_chunks_mut::<LANES>().0.iter_mut().enumerate().skip(from / LANES) {
+            let place = |i: usize| i * stride + k * LANES;
+            let mut along = *head;
+            for (i, v) in reflector.iter().enumerate() {
+                let rest = &added[place(i)..place(i) + LANES];
+                along.iter_mut().zip(rest).for_each(|(sum, x)| *sum += v * x);
+            }
+            along.iter_mut().for_each(|x| *x *= scale);
+            head.iter_mut().zip(along).for_each(|(x, along)| *x -= along);
+            for (i, v) in reflector.iter().enumerate() {
+                let rest = &mut added[place(i)..place(i) + LANES];
+                rest.iter_mut().zip(along).for_each(|(x, along)| *x -= v * along);
+            }
         }
     }
 }
