@@ -203,6 +203,25 @@ def test_results_are_read_only_and_a_model_is_no_file(monkeypatch):
             attempt(model)
 
 
+def test_wide_rows_are_read_about_once(monkeypatch):
+    """A part has few of them; its neighbours are whole cells, and pairs come back to it time and again."""
+    monkeypatch.setattr(tall, "_PART", 150 * 121)
+    rng = np.random.default_rng(7)
+    A, b = rng.normal(size=(N, 120)), rng.normal(size=N)
+    model, calls = mx.LeastSquares.from_blocks((A, b)), []
+
+    def counted(*given):
+        calls.append(len(given[0]))
+        return predicted(*given)
+
+    predicted = tall.predicted
+    monkeypatch.setattr(tall, "predicted", counted)
+    found = model.cross_validate(SCHEMES["radius"])
+    expected = mx.LeastSquares(A, b).cross_validate(SCHEMES["radius"])
+    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-11)
+    assert 4 <= len(calls) <= 7
+
+
 def test_no_bit_depends_on_threads(monkeypatch):
     monkeypatch.setattr(tall, "_PART", 1500)
     A, b, weights = make(1, 2, True)

@@ -127,10 +127,15 @@ class Parts:
         if isinstance(self.scheme, LazyNeighbourhoods):
             size = self.together * self.cells.size
             return [order[first : first + size] for first in range(0, len(order), size)]
-        held = self.scheme.held_out
+        held, validated = self.scheme.held_out, self.scheme.validated
         order = order[held.sizes[order] > 0]
-        group = self.cells.having(held.indices[held.offsets[order]]) // self.together
-        return np.split(order, np.flatnonzero(np.diff(group)) + 1) if len(order) else []
+        # By a datum in the middle, as a rule: pairs of a part then reach as far as they must, and no farther.
+        alone = validated.sizes[order] == 0
+        datum = held.indices[held.offsets[order]]
+        datum[~alone] = validated.indices[validated.offsets[order[~alone]]]
+        group = self.cells.having(datum) // self.together
+        by_group = np.argsort(group, kind="stable")
+        return np.split(order[by_group], np.flatnonzero(np.diff(group[by_group])) + 1) if len(order) else []
 
     def __len__(self) -> int:
         return len(self.pairs)
