@@ -56,11 +56,11 @@ impl<'a> Pool<'a> {
             }
         };
         // A pool for each number that is asked for, not for each number of tasks: pools stay.
-        match if threads > 1 { threads_of_this_process(self.threads) } else { None } {
-            Some(pool) => pool.scope(|scope| {
-                for _ in 0..threads {
-                    scope.spawn(|_| worker());
-                }
+        match if threads > 1 { threads_of_this_process(self.threads - 1) } else { None } {
+            // This thread works, too: it need not wait until the others are awake.
+            Some(pool) => pool.in_place_scope(|scope| {
+                (1..threads).for_each(|_| scope.spawn(|_| worker()));
+                worker();
             }),
             None if threads > 0 => worker(),
             None => {}

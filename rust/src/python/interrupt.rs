@@ -23,6 +23,9 @@ impl From<Error> for PyErr {
 /// Multiply-adds that pass before anybody presses Ctrl-C: shorter work is done at once, on this thread.
 const SHORT: f64 = 2e8;
 
+/// Multiply-adds that are done before another thread has woken up for them.
+const ALONE: f64 = 1e6;
+
 /// Does the work with the interpreter released. Signals reach the main thread alone, so long work goes to another one
 /// while this one looks for them.
 pub(super) fn interruptible<T: Send>(
@@ -32,7 +35,7 @@ pub(super) fn interruptible<T: Send>(
     work: impl FnOnce(&Pool<'_>) -> Result<T, Error> + Send,
 ) -> PyResult<T> {
     let cancel = AtomicBool::new(false);
-    let pool = Pool::new(threads, &cancel);
+    let pool = Pool::new(if cost < ALONE { 1 } else { threads }, &cancel);
     if cost < SHORT {
         return Ok(py.detach(|| work(&pool))?);
     }
