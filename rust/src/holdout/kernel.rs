@@ -119,7 +119,7 @@ impl Bordered {
             // Lanes beyond the last row repeat it: all are as many, so that each column is one vector.
             let lines: [&[f64]; PANEL] = std::array::from_fn(|lane| rows(first + lane.min(width - 1)));
             for (entries, &column) in entries.iter_mut().zip(&columns[..first + width]) {
-                *entries = lines.map(|line| -line[column]);
+                entries.iter_mut().zip(&lines).for_each(|(entry, line)| *entry = -line[column]);
             }
             if width < PANEL {
                 entries.iter_mut().for_each(|lanes| lanes[width..].fill(0.0));
