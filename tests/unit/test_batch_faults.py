@@ -324,3 +324,47 @@ def test_without_cloudpickle_a_function_of_a_notebook_is_refused():
     said = run.stderr.splitlines()[-1]
     assert said.startswith("TypeError: Invalid function. It must be picklable: ")
     assert "mexpress[notebook]" in said
+
+
+def large(index, size):
+    time.sleep(0.02)
+    return np.full(size, index)
+
+
+def test_results_that_wait_for_a_slow_reader_are_not_late():
+    some = [(index, 200_000) for index in range(6)]
+    found = {}
+    for index, result in mx.iterate_problems(large, some, workers=2, timeout=0.3, on_error="return"):
+        time.sleep(0.4)
+        found[index] = result
+    assert {index: result[0] for index, result in found.items()} == {index: index for index in range(6)}
+
+
+@posix
+def test_without_room_for_files_the_late_one_is_told(tmp_path):
+    script = """
+        import resource, signal
+        from test_batch_faults import nap_at
+        import mexpress as mx
+        if __name__ == "__main__":
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+            some = [(k, 25) for k in range(40)]
+            found = mx.map_problems(nap_at, some, workers=1, timeout=0.7, on_error="return")
+            print([k for k, each in enumerate(found) if each != k])
+    """
+    (tmp_path / "script.py").write_text(textwrap.dedent(script))
+    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
+    ended = subprocess.run(
+        [sys.executable, tmp_path / "script.py"],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ended.stdout == "[25]\n"
+
+
+def nap_at(index, at):
+    time.sleep(30 if index == at else 0.002)
+    return index

@@ -37,6 +37,7 @@ from sklearn.utils.estimator_checks import check_estimator
 import mexpress as mx
 from mexpress.models import CardinalBasis
 from mexpress.sklearn import LinearRegression, Ridge, RidgeCV, SurfaceRegressor
+from mexpress.sklearn.scores import takes_weights
 
 N, P = 48, 5
 RNG = np.random.default_rng(0)
@@ -486,6 +487,10 @@ def test_a_scorer_is_given_weights_if_it_takes_them(weighs):
         expected = refits.RidgeCV(ALPHAS, **asked).fit(X, Y[:, 0], WEIGHTS)
     assert found.alpha_ == expected.alpha_
     close(found.best_score_, expected.best_score_)
+
+
+def test_a_scorer_without_a_signature_is_given_no_weights():
+    assert not takes_weights(max)
 
 
 def test_a_scorer_may_select_for_every_response():

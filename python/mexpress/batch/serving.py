@@ -49,8 +49,9 @@ def _work(task: Task, some: Parcel, connection: Connection, spool: Spool) -> Non
         outcome = packed(task, index, light, rows)
         now = time.monotonic()
         finished = now - begun > SPELL or index == last
-        if finished or now - sent > _PERIOD or not spool.keep(index, outcome):
-            connection.send_bytes(bytes([finished]) + spool.content() + framed(index, outcome))
+        rest = b"" if spool.keep(index, outcome) else framed(index, outcome)
+        if finished or now - sent > _PERIOD or rest:
+            connection.send_bytes(bytes([finished]) + spool.content() + rest)
             spool.clear()
             sent = now = time.monotonic()
         if finished:

@@ -25,7 +25,11 @@ class Spool:
     """The outcomes that a worker has not sent, and when it began its present call."""
 
     def __init__(self, path: Path) -> None:
-        self.memory = mapped(path, _ROOM) or mmap(-1, _ROOM)  # what is lost with the process is done again
+        file = mapped(path, _ROOM)
+        self.memory, self.room = (
+            file or mmap(-1, _ROOM),
+            _ROOM if file else 0,
+        )  # nobody else would see what is kept
         head = memoryview(self.memory)
         self.end, self.begun = (
             head[:8].cast("Q"),
@@ -41,7 +45,7 @@ class Spool:
         """Keep an outcome, if there is room for it."""
         start = self.end[0] + _FRAME.size
         stop = start + len(packed)
-        if stop > _ROOM:
+        if stop > self.room:
             return False
         _FRAME.pack_into(self.memory, start - _FRAME.size, index, len(packed))
         self.memory[start:stop] = packed
@@ -64,6 +68,7 @@ def mapped(path: Path, size: int) -> mmap | None:
             file.write(bytes(size))  # a file that has holes would end the process later, on a full disk
             return mmap(file.fileno(), size)
     except (OSError, ValueError):
+        path.unlink(missing_ok=True)
         return None
 
 

@@ -224,7 +224,7 @@ class Crew:
         return max(0.0, min([TICK, *map(self._wait, self.workers)]))
 
     def _is_late(self, worker: Worker) -> bool:
-        if self._wait(worker) > 0:
+        if self._wait(worker) > 0 or worker.connection.poll():  # it may wait until what it says is heard
             return False
         worker.look()
         return self._wait(worker) <= 0

@@ -50,7 +50,10 @@ def takes_weights(scorer: Any) -> bool:
     """
     if hasattr(scorer, "_accept_sample_weight"):
         return bool(scorer._accept_sample_weight())
-    return "sample_weight" in signature(scorer).parameters
+    try:
+        return "sample_weight" in signature(scorer).parameters
+    except (TypeError, ValueError):  # of compiled functions
+        return False
 
 
 def fold_scores(
