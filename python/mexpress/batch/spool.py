@@ -26,15 +26,11 @@ class Spool:
 
     def __init__(self, path: Path) -> None:
         file = mapped(path, _ROOM)
-        self.memory, self.room = (
-            file or mmap(-1, _ROOM),
-            _ROOM if file else 0,
-        )  # nobody else would see what is kept
+        self.memory = file or mmap(-1, _ROOM)
+        self.room = _ROOM if file else 0  # nobody else would see what is kept
         head = memoryview(self.memory)
-        self.end, self.begun = (
-            head[:8].cast("Q"),
-            head[8:16].cast("d"),
-        )  # each is written at once, not byte by byte
+        # Each is written at once, not byte by byte.
+        self.end, self.begun = head[:8].cast("Q"), head[8:16].cast("d")
         self.clear()
 
     def begin(self, now: float) -> None:

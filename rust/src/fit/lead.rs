@@ -7,7 +7,7 @@
 use pulp::Arch;
 
 use crate::error::Error;
-use crate::fit::factor::Problem;
+use crate::fit::factor::{Problem, weighted_responses};
 use crate::fit::linalg::dot;
 use crate::fit::rank::Spectrum;
 use crate::pool::Pool;
@@ -51,11 +51,11 @@ impl Lead {
     /// What the columns leave of the weighted responses and of the zeros of the penalty rows, row by row.
     pub fn left(&self, problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Vec<f64>, Error> {
         let responses = problem.responses.len() / problem.rows;
+        if self.multiples.iter().all(|lead| lead.2 == 0.0) {
+            return Ok(weighted_responses(problem, responses));
+        }
         let mut left = problem.responses.to_vec();
         left.resize(problem.total_rows() * responses, 0.0);
-        if self.multiples.iter().all(|lead| lead.2 == 0.0) && problem.root_weights.is_none() {
-            return Ok(left);
-        }
         let tasks = left.chunks_mut((ROWS * responses).max(1)).enumerate();
         pool.run(tasks, Arch::new, |arch, (block, left)| {
             arch.dispatch(|| {

@@ -93,8 +93,8 @@ impl Remainder {
         pool.run(tasks.collect::<Vec<_>>().into_iter(), || (), |(), (basis, mut part)| part.step(step, basis))
     }
 
-    /// After what is `known` of the projection was taken, however that was done, and the rest projected: residuals far smaller than the responses
-    /// keep a part in Q that is rounding of the responses.
+    /// After what is `known` of the projection was taken, however that was done, and the rest projected: residuals far
+    /// smaller than the responses keep a part in Q that is rounding of the responses.
     pub fn finish(mut self, basis: &[f64], known: Vec<f64>, pool: &Pool<'_>) -> Result<Residuals, Error> {
         let rest = self.projection();
         self.pass(basis, Step { taken: Some(&rest), project: false }, pool)?;

@@ -189,49 +189,43 @@ impl<'a, const N: usize> Within<'a, N> {
         }
     }
 
-    /// Leaves near enough to a point of the box that it has turned to.
-    fn leaves(&self, point: &[f64; N]) -> impl Iterator<Item = &'a [Entry<N>]> {
-        let near =
-            self.near.iter().filter(|(node, _)| self.tree.nodes[*node].square(point, point) <= self.limit);
-        near.map(|&(_, leaf)| self.tree.leaf(leaf))
+    /// Leaves near enough to a point of the box that it has turned to, and their nodes.
+    fn leaves(&self, point: &[f64; N]) -> impl Iterator<Item = (&'a Node<N>, &'a [Entry<N>])> {
+        let near = self.near.iter().map(|&(node, leaf)| (&self.tree.nodes[node], self.tree.leaf(leaf)));
+        near.filter(|(node, _)| node.square(point, point) <= self.limit)
     }
 
     /// How many points are near enough to a point of the box that it has turned to.
     pub(crate) fn count(&self, point: &[f64; N]) -> usize {
         let near = |entry: &&Entry<N>| square(&entry.point, point) <= self.limit;
-        self.leaves(point).map(|leaf| leaf.iter().filter(near).count()).sum()
+        self.leaves(point).map(|(_, leaf)| leaf.iter().filter(near).count()).sum()
     }
 
-    /// Their indices, into a row that is as long as they are many, in no order.
-    pub(crate) fn fill(&self, point: &[f64; N], row: &mut [usize]) {
+    /// Their indices, into a row that is as long as they are many or longer, in no order; how many they are.
+    pub(crate) fn fill(&self, point: &[f64; N], row: &mut [usize]) -> usize {
         let mut filled = 0;
-        for entry in self.leaves(point).flatten() {
-            // Written whether near or not: a branch here would be taken at random.
-            if let Some(to) = row.get_mut(filled) {
-                *to = entry.index;
+        for (node, entries) in self.leaves(point) {
+            if node.farthest_square(point) <= self.limit {
+                row[filled..].iter_mut().zip(entries).for_each(|(to, entry)| *to = entry.index);
+                filled += entries.len();
+                continue;
             }
-            filled += usize::from(square(&entry.point, point) <= self.limit);
+            for entry in entries {
+                // Written whether near or not: a branch here would be taken at random.
+                if let Some(to) = row.get_mut(filled) {
+                    *to = entry.index;
+                }
+                filled += usize::from(square(&entry.point, point) <= self.limit);
+            }
         }
+        filled
     }
 
     /// Replaces `out` by the indices of all that are near enough to a point, in no order.
     pub(crate) fn list(&mut self, point: &[f64; N], out: &mut Vec<usize>) {
         self.turn_to(point, point);
         out.resize(self.near.len() * LEAF, 0);
-        let mut filled = 0;
-        for &(node, leaf) in &self.near {
-            let entries = self.tree.leaf(leaf);
-            if self.tree.nodes[node].farthest_square(point) <= self.limit {
-                out[filled..].iter_mut().zip(entries).for_each(|(to, entry)| *to = entry.index);
-                filled += entries.len();
-                continue;
-            }
-            for entry in entries {
-                // Written whether near or not: a branch here would be taken at random.
-                out[filled] = entry.index;
-                filled += usize::from(square(&entry.point, point) <= self.limit);
-            }
-        }
+        let filled = self.fill(point, out);
         out.truncate(filled);
     }
 }
