@@ -88,6 +88,25 @@ pub(super) fn portions<'a>(
     portions
 }
 
+/// The multiply-adds of all pairs, at most: each is solved in the cheaper way, and all the primal way would take as long as
+/// if they held out equally many.
+pub(super) fn most(schemes: &[Scheme<'_>], factor: &Factor, rows: &Sets) -> f64 {
+    let coupling = factor.rows as f64 / rows.len().max(1) as f64;
+    let of_all = |scheme: &Scheme<'_>| {
+        let mean = coupling * scheme.held.mean();
+        let dual = costs((scheme.held.largest() * widest(rows)) as f64, 0.0, factor.rank, false).0;
+        let primal = costs(mean, mean, factor.rank, false).1;
+        let predictions = mean * (factor.rank * factor.responses) as f64;
+        scheme.steps() as f64 * (PAIR + dual.min(primal) + predictions)
+    };
+    schemes.iter().map(of_all).sum()
+}
+
+/// The most rows that a datum has.
+fn widest(rows: &Sets) -> usize {
+    (0..rows.len()).map(|datum| rows.get(datum).len()).max().unwrap_or(0)
+}
+
 /// About how many members a neighbourhood does not share with the next: those along its rim.
 pub(super) fn rim(members: f64) -> f64 {
     members.min(3.0 * members.sqrt())
@@ -128,7 +147,7 @@ pub(super) fn hat_pays(chains: &[Chain<'_>], schemes: &[Scheme<'_>], factor: &Fa
         return false;
     };
     let whole = (factor.rows as f64).powi(2) * factor.rank as f64 / 2.0;
-    let widest = (0..rows.len()).map(|datum| rows.get(datum).len()).max().unwrap_or(0);
+    let widest = widest(rows);
     let at_most = |scheme: &Scheme<'_>| {
         let rows = (scheme.held.largest() * widest) as f64;
         scheme.steps() as f64 * costs(rows, 0.0, factor.rank, false).0
@@ -228,6 +247,36 @@ mod tests {
                 }
                 assert!(rank > 3 || chains.iter().all(|chain| lengths(chain).len() <= PORTIONS + 1));
             }
+        }
+    }
+
+    /// Sets of one size or of many, of data of one row or of several: no less than each in the way that is the cheaper one,
+    /// and of sets and data of one size exactly that.
+    #[test]
+    fn pairs_take_at_most_what_all_take_one_way() {
+        let alone = singletons(40);
+        let uneven: Sets = (0..40).map(|i| (0..1 + i * i / 40).collect()).collect();
+        let lopsided: Sets =
+            std::iter::once((0..30).collect()).chain((30..40).map(|row| vec![row])).collect();
+        for (rank, responses) in [(3, 1), (12, 4), (300, 1)] {
+            let mut factor = Example::new(40, 3, 1).factor();
+            (factor.rank, factor.responses) = (rank, responses);
+            for (held, rows) in [(&alone, &alone), (&windows(40, 4), &alone), (&uneven, &alone)] {
+                let schemes = [scheme(held, &alone, None)];
+                let each = |pair: usize| {
+                    let q = rows.total(held.get(pair)) as f64;
+                    let (dual, primal) = costs(q, q, rank, false);
+                    PAIR + dual.min(primal) + q * (rank * responses) as f64
+                };
+                let (found, total) = (most(&schemes, &factor, rows), (0..40).map(each).sum::<f64>());
+                assert!(found >= total * (1.0 - 1e-12), "{rank}: {found} {total}");
+                if std::ptr::eq(held, &alone) {
+                    assert!((found / total - 1.0).abs() < 1e-12, "{rank}: {found} {total}");
+                }
+            }
+            let data = singletons(lopsided.len());
+            let large = costs(30.0, 30.0, rank, false);
+            assert!(most(&[scheme(&data, &data, None)], &factor, &lopsided) >= large.0.min(large.1));
         }
     }
 

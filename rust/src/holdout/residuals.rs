@@ -51,6 +51,14 @@ pub struct Predictions {
     pub status: Vec<Status>,
 }
 
+/// Pairs after the walk: those that the closed form solved, and those that are too close to rank loss for it.
+pub struct Walked<'a> {
+    ground: Ground<'a>,
+    places: Places,
+    residuals: Vec<f64>,
+    status: Vec<Option<Status>>,
+}
+
 impl Factor {
     /// Predicts the validated rows of every pair with its held-out rows left out of the fit. `problem` is the one that
     /// was factored: pairs close to rank loss go back to it. `rows` are those of each datum.
@@ -61,6 +69,21 @@ impl Factor {
         rows: &Sets,
         pool: &Pool<'_>,
     ) -> Result<Predictions, Error> {
+        self.walk(schemes, rows, pool)?.finish(problem, pool)
+    }
+
+    /// The multiply-adds of `walk`, at most.
+    pub fn walk_cost(&self, schemes: &[Scheme<'_>], rows: &Sets) -> f64 {
+        plan::most(schemes, self, rows)
+    }
+
+    /// The part of `predict` that needs no problem.
+    pub fn walk<'a>(
+        &'a self,
+        schemes: &'a [Scheme<'a>],
+        rows: &'a Sets<'a>,
+        pool: &Pool<'_>,
+    ) -> Result<Walked<'a>, Error> {
         check_indices(rows, self.rows)?;
         schemes.iter().try_for_each(|scheme| scheme.check(rows))?;
         let chains = plan::chains(schemes);
@@ -79,11 +102,26 @@ impl Factor {
             pool.proceed()?;
             places.put(portion, part, self.responses, &mut residuals, &mut status);
         }
-        self.rescue(problem, &ground, &places, &mut residuals, &mut status, pool)?;
+        Ok(Walked { ground, places, residuals, status })
+    }
+}
+
+impl Walked<'_> {
+    /// The multiply-adds of `finish`, at most: those of as many refits as there are pairs left.
+    pub fn finish_cost(&self) -> f64 {
+        let Factor { basis, rank, .. } = self.ground.factor;
+        let left = self.status.iter().filter(|status| status.is_none()).count();
+        2.0 * left as f64 * (basis.len() * rank) as f64
+    }
+
+    /// Solves the pairs that are left, with the problem that was factored.
+    pub fn finish(self, problem: &Problem<'_>, pool: &Pool<'_>) -> Result<Predictions, Error> {
+        let Self { ground, places, mut residuals, mut status } = self;
+        ground.factor.rescue(problem, &ground, &places, &mut residuals, &mut status, pool)?;
         let status = status.into_iter().map(|s| s.unwrap_or(Status::Undefined)).collect();
-        let mut listed = Vec::with_capacity(places.offsets[count]);
-        for &datum in schemes.iter().flat_map(|scheme| scheme.validated.items.iter()) {
-            listed.extend_from_slice(rows.get(datum));
+        let mut listed = Vec::with_capacity(places.offsets.last().copied().unwrap_or(0));
+        for &datum in ground.schemes.iter().flat_map(|scheme| scheme.validated.items.iter()) {
+            listed.extend_from_slice(ground.rows.get(datum));
         }
         Ok(Predictions { residuals, rows: listed, offsets: places.offsets, status })
     }
@@ -197,18 +235,20 @@ impl Question for LastModel<'_> {
         if factor.rank == factor.total_rows {
             return false;
         }
-        let row_at = |step| self.lone_row(&schemes[s], portion.chain.pair(step));
-        let Some(lone) = portion.steps.clone().map(row_at).collect::<Option<Vec<_>>>() else { return false };
-        let (count, responses, required) = (lone.len(), factor.responses, factor.closed_form_least());
-        answer.values = vec![f64::NAN; count * responses];
-        answer.status = vec![None; count];
-        for (k, (&row, status)) in lone.iter().zip(&mut answer.status).enumerate() {
-            let out = &mut answer.values[k * responses..(k + 1) * responses];
+        let (count, responses, required) =
+            (portion.steps.len(), factor.responses, factor.closed_form_least());
+        let mut values = vec![f64::NAN; count * responses];
+        let mut status = vec![None; count];
+        for (k, step) in portion.steps.clone().enumerate() {
+            let Some(row) = self.lone_row(&schemes[s], portion.chain.pair(step)) else { return false };
+            let out = &mut values[k * responses..(k + 1) * responses];
             if leave_out(factor, row, out) >= required {
-                *status = Some(Status::Closed);
+                status[k] = Some(Status::Closed);
             }
+            let unweight = factor.unweight(row);
+            out.iter_mut().for_each(|e| *e *= unweight);
         }
-        unweight(factor, &lone, &mut answer.values);
+        *answer = Residuals { values, status };
         true
     }
 
@@ -362,6 +402,26 @@ mod tests {
 
     fn rows_of(data: &[usize], rows: &Sets) -> Vec<usize> {
         data.iter().flat_map(|&datum| rows.get(datum)).copied().collect()
+    }
+
+    /// Of a column that three rows alone have, two of them held out leave the third; without all three it is lost.
+    #[test]
+    fn what_is_left_to_finish_costs_as_many_refits() {
+        let mut example = Example::new(40, 4, 1);
+        example.penalty.clear();
+        for (i, row) in example.design.chunks_exact_mut(4).enumerate() {
+            row[3] = if i < 3 { 1.0 } else { 0.0 };
+        }
+        let (factor, rows) = (example.factor(), singletons(40));
+        for (held, left) in [(vec![vec![0], vec![7, 8]], 0.0), (vec![vec![0, 1, 2], vec![9]], 1.0)] {
+            let held: Sets = held.into_iter().collect();
+            let schemes = [Scheme { held: Held::Sets(&held), validated: &held, order: None }];
+            let walked = factor.walk(&schemes, &rows, &pool(1)).unwrap();
+            assert_eq!(walked.finish_cost(), left * 2.0 * 40.0 * 16.0);
+            let status = walked.finish(&example.problem(), &pool(1)).unwrap().status;
+            assert_eq!(status[0] == Status::Undefined, left > 0.0);
+            assert_eq!(status[1], Status::Closed);
+        }
     }
 
     /// One to three rows, small sets and large ones, some of them validated or many, alone and in chains.

@@ -78,13 +78,12 @@ impl Factor {
         let lists = schemes.iter().map(ReadScheme::listing).collect::<PyResult<Vec<_>>>()?;
         let schemes: Vec<Scheme<'_>> = lists.iter().map(Listing::scheme).collect();
         let rows = rows.sets()?;
-        // At worst every pair is refitted.
-        let count: usize = schemes.iter().map(|scheme| scheme.validated.len()).sum();
-        let cost = 2.0 * count as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
+        let walked = interruptible(py, self.fit.walk_cost(&schemes, &rows), threads, |pool| {
+            self.fit.walk(&schemes, &rows, pool)
+        })?;
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
-        let found =
-            interruptible(py, cost, threads, |pool| self.fit.predict(&problem, &schemes, &rows, pool))?;
+        let found = interruptible(py, walked.finish_cost(), threads, |pool| walked.finish(&problem, pool))?;
         let mut first = 0;
         let predicted = |scheme: &Scheme<'_>| {
             let pairs = first..first + scheme.validated.len();

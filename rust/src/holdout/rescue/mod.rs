@@ -51,6 +51,9 @@ impl Factor {
         status: &mut [Option<Status>],
         pool: &Pool<'_>,
     ) -> Result<(), Error> {
+        if status.iter().all(Option::is_some) {
+            return Ok(());
+        }
         let mut sets = grouped(ground, places.left(ground, residuals, status), pool)?;
         let failure = OnceLock::new();
         let batch = batch(ground);
