@@ -81,11 +81,10 @@ def measure(configuration: Configuration, n: int, stride: int = 1, seed: int = 0
         threads=1,
         smoothing=0,
     )
-    test = _test_errors(selection, matches)
     place = (configuration.source, configuration.target, configuration.view, n)
-    names = _NAMES[:-1]
+    curves = selection.curves | {"TEST": _test_errors(selection, matches)}
     return [
-        (*place, int(count), *(float(selection.curves[name][k]) for name in names), test[k])
+        (*place, int(count), *(float(curves[name][k]) for name in _NAMES))
         for k, count in enumerate(selection.counts)
     ]
 

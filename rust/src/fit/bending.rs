@@ -105,7 +105,7 @@ fn gram(rows: &[f64], order: usize, pool: &Pool<'_>) -> Result<Vec<f64>, Error> 
     let mut gram = vec![0.0; order * order];
     let band = (BAND * 1000 / order.max(1)).clamp(PANEL, BAND);
     let bands = gram.chunks_mut((band * order).max(1)).enumerate();
-    pool.run(bands, || (), |(), (k, out)| linalg::gram_rows(rows, order, k * band, out, order))?;
+    pool.run(bands, || (), |(), (k, out)| linalg::gram_rows(rows, order, k * band, out, (0, order)))?;
     linalg::mirror(&mut gram, order);
     Ok(gram)
 }

@@ -392,16 +392,29 @@ pub fn rows_product(a: &[f64], b: &[f64], columns: usize, width: usize, out: &mu
     );
 }
 
-/// The lower triangle of `a a^T` for the rows `first..` of a row-major matrix of `columns` columns, against all rows
-/// up to their own: row i of the result is written to `out[i - first]`, `rows` numbers apart.
-pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], rows: usize) {
-    let count = out.len() / rows;
-    let here = MatRef::from_row_major_slice(&a[first * columns..(first + count) * columns], count, columns);
-    let (left, diagonal) = MatMut::from_row_major_slice_mut(out, count, rows).split_at_col_mut(first);
-    let before = MatRef::from_row_major_slice(&a[..first * columns], first, columns);
-    matmul(left, Accum::Replace, here, before.transpose(), 1.0, Par::Seq);
+/// `a b^T` for row-major matrices of some columns, written to the columns `start..` of a row-major matrix of `width` columns.
+pub fn inner_products(a: &[f64], b: &[f64], columns: usize, out: &mut [f64], (start, width): (usize, usize)) {
+    let height = |matrix: &[f64]| matrix.len().checked_div(columns).unwrap_or(0);
+    let (rows, count) = (height(a), height(b));
+    matmul(
+        MatMut::from_row_major_slice_mut(&mut out[..rows * width], rows, width).subcols_mut(start, count),
+        Accum::Replace,
+        MatRef::from_row_major_slice(a, rows, columns),
+        MatRef::from_row_major_slice(b, count, columns).transpose(),
+        1.0,
+        Par::Seq,
+    );
+}
+
+/// The lower triangle of `a a^T` for the rows `first..` of a row-major matrix of some columns, against all rows up to
+/// their own: as many rows as a row-major matrix of `width` columns has, written to its columns `start..`.
+pub fn gram_rows(a: &[f64], columns: usize, first: usize, out: &mut [f64], (start, width): (usize, usize)) {
+    let count = out.len() / width;
+    let (before, here) = (&a[..first * columns], &a[first * columns..(first + count) * columns]);
+    inner_products(here, before, columns, out, (start, width));
+    let here = MatRef::from_row_major_slice(here, count, columns);
     triangular::matmul(
-        diagonal.subcols_mut(0, count),
+        MatMut::from_row_major_slice_mut(out, count, width).subcols_mut(start + first, count),
         BlockStructure::TriangularLower,
         Accum::Replace,
         here,
@@ -500,7 +513,7 @@ mod tests {
         let a = matrix(rows, columns);
         for first in [0, 2, 6] {
             let mut out = vec![0.0; (rows - first) * rows];
-            gram_rows(&a, columns, first, &mut out, rows);
+            gram_rows(&a, columns, first, &mut out, (0, rows));
             for i in first..rows {
                 for j in 0..=i {
                     let exact = dot(&a[i * columns..(i + 1) * columns], &a[j * columns..(j + 1) * columns]);

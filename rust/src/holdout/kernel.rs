@@ -545,6 +545,24 @@ impl Carry<'_> {
 #[inline(always)]
 fn substitute<S: Simd, const V: usize>(simd: S, block: &mut [S::f64s], unit: &Unit, inverse_pivots: &[f64]) {
     let (columns, _) = block.as_chunks_mut::<V>();
+    match columns.first_chunk_mut::<PANEL>() {
+        // A number of columns that the compiler knows stays in registers.
+        Some(columns) => {
+            let mut known = *columns;
+            eliminate(simd, &mut known, unit, inverse_pivots);
+            *columns = known;
+        }
+        None => eliminate(simd, columns, unit, inverse_pivots),
+    }
+}
+
+#[inline(always)]
+fn eliminate<S: Simd, const V: usize>(
+    simd: S,
+    columns: &mut [[S::f64s; V]],
+    unit: &Unit,
+    inverse_pivots: &[f64],
+) {
     for k in 0..columns.len().min(PANEL) {
         let (done, rest) = columns.split_at_mut(k + 1);
         let current = done[k];
