@@ -5,7 +5,7 @@ mod cholesky_qr;
 mod extremes;
 pub mod factor;
 mod householder;
-mod lead;
+pub(crate) mod lead;
 pub mod linalg;
 mod over_basis;
 pub(crate) mod panels;
