@@ -5,6 +5,7 @@ mod cholesky_qr;
 mod extremes;
 pub mod factor;
 mod householder;
+mod jacobi;
 pub(crate) mod lead;
 pub mod linalg;
 mod over_basis;
