@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -145,6 +146,24 @@ def lstsq_wide(A, b):
     for j in reversed(range(p)):
         x[j] = (c[j] - a[j, j + 1 : p] @ x[j + 1 :]) / a[j, j]
     return x
+
+
+def predicted_exactly(A, b, scheme) -> Array:
+    """Prediction residuals of few rows and columns, (t, r), pair after pair: normal equations in fractions."""
+    m, p = A.shape
+    rows = [[Fraction(x) for x in row] for row in np.column_stack([A, b]).tolist()]
+    width, found = len(rows[0]), []
+    for held, validated in pairs(scheme):
+        kept = [rows[i] for i in range(m) if i not in held]
+        system = [[sum(row[j] * row[k] for row in kept) for k in range(width)] for j in range(p)]
+        for j in range(p):
+            system[j] = [x / system[j][j] for x in system[j]]
+            for k in set(range(p)) - {j}:
+                system[k] = [x - system[k][j] * y for x, y in zip(system[k], system[j], strict=True)]
+        for i in validated:
+            fit = [sum(rows[i][j] * system[j][k] for j in range(p)) for k in range(p, width)]
+            found.append([float(y - x) for x, y in zip(fit, rows[i][p:], strict=True)])
+    return np.array(found)
 
 
 def nested_refit(A, b, rows) -> Array:

@@ -378,6 +378,20 @@ def test_a_mean_that_a_column_explains_costs_no_digit(size, near, weighted):
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-9 * np.abs(there).max())
 
 
+def test_a_triangle_whose_singular_values_do_not_converge_at_once():
+    """Of dummies of a factor, where columns are whole or zero; the decomposition went round in circles."""
+    level = np.array([7, 1, 0, 5, 2, 12, 4, 8, 7, 1, 3, 5, 7, 11, 0, 5, 13, 8, 5, 1, 9, 0, 11, 12])
+    level = np.append(level, [9, 10, 7, 0, 6, 9, 2, 6, 8, 1, 6, 6, 1, 0, 6, 3, 8, 13, 6, 11, 2, 13, 10, 0])
+    A = (level[:, None] == np.arange(14)).astype(float)
+    A[:, 0] = 1
+    held = np.r_[0, 2, 3, 6, 12, 15, 19, 20, 23:27, 29, 31, 32, 34:39, 40, 41, 43, 45, 46]
+    kept = np.setdiff1d(np.arange(48), held)
+    assert np.linalg.matrix_rank(A[kept]) < 14
+    with pytest.warns(mx.RankLossWarning):
+        found = mx.LeastSquares(A, np.ones(48)).cross_validate(mx.schemes.from_sets([held], n=48))
+    assert np.isnan(found.residuals).all()
+
+
 # ------------------------------------------------------------------------------------------------ rank loss
 
 

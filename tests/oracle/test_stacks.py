@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from refits import COUPLINGS, label_rows
+from refits import COUPLINGS, label_rows, predicted_exactly
 from scipy.linalg import lstsq
 
 import mexpress as mx
@@ -60,6 +60,25 @@ def test_the_rows_of_a_datum_are_held_out_together(coupling):
     near = s.exclusion_radius(np.arange(12.0)[:, None], 1)
     batch = mx.cross_validate_batch(np.array(A), np.array(b), near, labels, weights)
     expect_alone(batch, A, b, lambda i: near, labels, weights)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [s.leave_one_out(14), s.k_fold(14, 3, seed=0), s.nearest(np.arange(14.0)[:, None], 3)],
+    ids=["each datum", "folds", "neighbours"],
+)
+@pytest.mark.parametrize("spread", [0.0, 0.1], ids=["constant", "column"])
+def test_a_mean_that_a_column_explains_costs_no_digit(scheme, spread):
+    """Responses of a few of the problems and of their neighbours, which have none."""
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(11, 14, 3)), rng.normal(size=(11, 14, 2))
+    A[..., 1] = 4 + spread * A[..., 1]
+    b[::3, :, 0] += 1e8 * A[::3, :, 1]
+    batch = mx.cross_validate_batch(A, b, scheme)
+    expected = np.array([predicted_exactly(*each, scheme) for each in zip(A, b, strict=True)])
+    np.testing.assert_allclose(batch.residuals, expected, rtol=0, atol=1e-13)
+    squares = np.square(expected).sum(axis=(1, 2)) / len(scheme.validated.indices)
+    np.testing.assert_allclose(batch.scores, np.sqrt(squares), rtol=1e-13)
 
 
 def test_problems_of_a_list_may_differ():

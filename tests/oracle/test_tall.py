@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
-from refits import expect_same_fit, expect_same_predictions
+from refits import expect_same_fit, expect_same_predictions, predicted_exactly
 
 import mexpress as mx
 from mexpress.leastsquares import tall
@@ -76,6 +76,65 @@ def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     )
 
 
+def shifted(weighted=False):
+    """Return a problem, and its responses moved by multiples of columns that are exact in every digit."""
+    A, b, weights = make(responses=3, weighted=weighted)
+    A[:, 1], A[:, 2] = 4.0, np.round(64 + 8 * A[:, 2] / np.abs(A[:, 2]).max()) / 64
+    b = np.round(1024 * b) / 1024
+    return A, b, b + 2.0**30 * np.column_stack([A[:, 1], -A[:, 2], 0 * b[:, 2]]), weights
+
+
+@pytest.mark.usefixtures("_parts")
+@pytest.mark.parametrize("scheme", ["each datum", "folds", "lazy radius", "nearest"])
+@pytest.mark.parametrize("weighted", [False, True], ids=["", "weights"])
+def test_a_mean_that_a_column_explains_costs_no_digit(scheme, weighted):
+    A, plain, b, weights = shifted(weighted)
+    expected = mx.LeastSquares(A, plain, 1, weights).cross_validate(SCHEMES[scheme])
+    for blocks in (blocks_of(A, b, weights), (A, b, weights)):
+        found = mx.LeastSquares.from_blocks(blocks).cross_validate(SCHEMES[scheme])
+        np.testing.assert_allclose(found.residuals, expected.residuals, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.score, expected.score, rtol=1e-12)
+
+
+@pytest.mark.parametrize("weighted", [False, True], ids=["", "weights"])
+def test_a_mean_costs_the_fit_no_digit(weighted):
+    A, plain, b, weights = shifted(weighted)
+    expected = mx.LeastSquares(A, plain, 1, weights)
+    model = mx.LeastSquares.from_blocks(blocks_of(A, b, weights))
+    for name in ("residuals", "fit_rms", "press"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=0, atol=1e-12)
+    shift = np.zeros((P, 3))
+    shift[1, 0], shift[2, 1] = 2.0**30, -(2.0**30)
+    np.testing.assert_allclose(
+        model.coefficients - shift, expected.coefficients, rtol=0, atol=2.0**30 * np.finfo(float).eps
+    )
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [s.leave_one_out(14), s.k_fold(14, 3, seed=0), s.nearest(np.arange(14.0)[:, None], 3)],
+    ids=["each datum", "folds", "neighbours"],
+)
+def test_predictions_of_large_responses_are_exact_refits(scheme, monkeypatch):
+    monkeypatch.setattr(tall, "_PART", 10)
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(14, 3)), rng.normal(size=14)
+    b += 1e8 * A[:, 1]
+    found = mx.LeastSquares.from_blocks((A, b)).cross_validate(scheme)
+    expected = predicted_exactly(A, b, scheme)[:, 0]
+    np.testing.assert_allclose(found.residuals, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1e-290, 1e290])
+def test_the_largest_and_the_smallest_responses_are_mostly_a_column_too(unit):
+    A, _, b, _ = shifted()
+    b = b[:, 0] / 2**30
+    expected = mx.LeastSquares(A, b).cross_validate(SCHEMES["radius"])
+    for columns in (unit, 1 / unit):
+        found = mx.LeastSquares.from_blocks((A * columns, b * unit)).cross_validate(SCHEMES["radius"])
+        np.testing.assert_allclose(found.residuals / unit, expected.residuals, rtol=0, atol=1e-12)
+
+
 @pytest.mark.usefixtures("_parts")
 def test_columns_that_few_rows_see_are_undefined_without_these():
     """Bumps of which some are seen by a few data near each other: their pairs lose rank, and others nearly do."""
@@ -120,6 +179,9 @@ def test_rank_that_is_lost_is_told():
     A[:, 4] = A[:, 3] - A[:, 2]
     model, expected = mx.LeastSquares.from_blocks((A, b)), mx.LeastSquares(A, b)
     assert model.rank == expected.rank == P - 1
+    moved = mx.LeastSquares.from_blocks((A, b + 100 * A[:, 3]))
+    shortest = mx.LeastSquares(A, b + 100 * A[:, 3]).coefficients
+    np.testing.assert_allclose(moved.coefficients, shortest, rtol=0, atol=1e-9)
     found, loo = (each.cross_validate(SCHEMES["radius"]).residuals for each in (model, expected))
     np.testing.assert_allclose(found, loo, rtol=1e-9, atol=1e-10)
     assert np.isnan(model.leverage).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from clusters import client_of
 from refits import expect_same_fit, expect_same_predictions
-from test_tall import GOOD, SCHEMES, N, P, make, spoiled
+from test_tall import GOOD, SCHEMES, N, P, make, shifted, spoiled
 
 import mexpress as mx
 from mexpress.leastsquares import dask_rows, tall
@@ -51,6 +51,18 @@ def test_the_fit_is_that_in_memory(coupling, responses, weighted):
     given = weights if weights is None else da.from_array(weights, chunks=100)
     model = mx.LeastSquares.from_blocks((spread(A, b)[0], b, given), coupling)
     expect_same_fit(model, expected, P, N)
+
+
+@pytest.mark.usefixtures("_parts")
+def test_a_mean_that_a_column_explains_costs_no_digit():
+    A, plain, b, weights = shifted(weighted=True)
+    expected = mx.LeastSquares(A, plain, 1, weights)
+    model = mx.LeastSquares.from_blocks((*spread(A, b), weights))
+    for name in ("residuals", "fit_rms", "press"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=0, atol=1e-12)
+    for scheme in map(SCHEMES.get, ("folds", "lazy radius")):
+        found = model.cross_validate(scheme).residuals
+        np.testing.assert_allclose(found, expected.cross_validate(scheme).residuals, rtol=0, atol=1e-12)
 
 
 def test_some_blocks_are_empty():

@@ -20,6 +20,7 @@ from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
 from mexpress.caching import cached_property
 from mexpress.leastsquares.cells import merged, reduced
+from mexpress.leastsquares.leads import Leads
 from mexpress.leastsquares.rows import Rows, bounded, weighted
 
 _TOGETHER = 64
@@ -121,7 +122,7 @@ class DaskRows(Rows):
         order = np.argsort(blocks, kind="stable")
         numbers, firsts = np.unique(blocks[order], return_index=True)
         pieces = [
-            delayed(_taken)(*self._blocks[k], rows[some] - self._ends[k])
+            delayed(_taken)(*self._blocks[k], rows[some] - self._ends[k], self.leads)
             for k, some in zip(numbers, np.split(order, firsts[1:]), strict=True)
         ]
         return delayed(_done)(pieces, order, self.roots(rows), work, others)
@@ -150,9 +151,9 @@ def _computed(tasks: list[Any]) -> tuple[Any, ...]:
         return tuple(compute(*tasks))  # type: ignore[no-untyped-call]
 
 
-def _taken(A: NDArray[Any], b: NDArray[Any], rows: Integers) -> Floats:
+def _taken(A: NDArray[Any], b: NDArray[Any], rows: Integers, leads: Leads | None = None) -> Floats:
     """Some rows of a block."""
-    return Rows(A, b, None, 1).take(rows)
+    return Rows(A, b, None, 1, leads).take(rows)
 
 
 def _done(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mexpress import _validation as check
 from mexpress._validation import Floats, Integers
+from mexpress.leastsquares.leads import Leads
 from mexpress.leastsquares.problem import expect_weights, weight_exponents
 
 _NUMBERS = 1 << 22
@@ -38,6 +39,8 @@ class Rows:
         Weights of the data, near one: fits and scores depend on their ratios alone.
     coupling : int
         Rows of a datum.
+    leads : Leads or None
+        What is taken of the responses when they are read.
 
     Examples
     --------
@@ -50,6 +53,7 @@ class Rows:
     b: NDArray[Any]
     weights: Floats | None
     coupling: int
+    leads: Leads | None = None
 
     @classmethod
     def checked(cls, block: Any, coupling: int) -> Self:
@@ -108,6 +112,8 @@ class Rows:
         together = np.empty((len(self.A), self.columns + self.responses))
         together[:, : self.columns] = self.A
         together[:, self.columns :] = self.b.reshape(len(self.A), self.responses)
+        if self.leads is not None:
+            together[:, self.columns :] = self.leads.left(together)
         return together
 
     def blocks(self) -> Iterator[Integers]:

@@ -24,6 +24,7 @@ from mexpress.leastsquares.cells import Cells, merged, reduced
 from mexpress.leastsquares.cross_validation import CrossValidation, expect_scheme_of, warn_of_rank_loss
 from mexpress.leastsquares.dask_rows import DaskRows
 from mexpress.leastsquares.finished import Finished
+from mexpress.leastsquares.leads import Leads
 from mexpress.leastsquares.parts import Part, Parts, data_order, predicted
 from mexpress.leastsquares.rows import Rows, read_only, rows_of
 from mexpress.progress import shown
@@ -55,7 +56,8 @@ class TallLeastSquares:
     rank, n_data : int
         Rank of the design, and number of data.
     fit_rms : float
-        Root mean square residual over the data.
+        Root mean square residual over the data. Where a response is mostly one column, such as a large mean, this, the
+        coefficients and the residuals take another pass, which keeps the digits of what that column leaves.
 
     Examples
     --------
@@ -105,10 +107,34 @@ class TallLeastSquares:
         """The fit of the triangle of all rows."""
         return _fit_of(self._triangle, self._rows.columns, len(self._rows.A), check.threads(self._threads))
 
+    @cached_property
+    def _led(self) -> Rows:
+        """All rows, without multiples of columns that take most of the responses: predictions err as much."""
+        leads = Leads.of(self._triangle, self._rows.columns)
+        return self._rows if leads is None else replace(self._rows, leads=leads)
+
+    @cached_property
+    def _rest(self) -> _core.Factor:
+        """The fit of these rows: another pass over them, unless nothing is taken."""
+        rows = self._led
+        if rows.leads is None:
+            return self._whole
+        triangle, threads = self._triangle[:0], check.threads(self._threads)
+        calls = ((some, rows.threads(self._threads)) for some in rows.blocks())
+        for block in rows.each(reduced, calls):
+            triangle = merged(np.concatenate([triangle, block]), threads)
+        return _fit_of(triangle, rows.columns, len(rows.A), threads)
+
     @property
     def coefficients(self) -> Floats:
         """The solution x, (p,) or (p, r)."""
-        coefficients = np.ascontiguousarray(self._whole.coefficients)
+        leads, lost = (
+            self._led.leads,
+            self.rank < self._rows.columns,
+        )  # of columns that depend on others, the shortest x
+        coefficients = np.array((self._whole if lost else self._rest).coefficients, order="C")
+        if leads is not None and not lost:
+            coefficients[leads.columns, np.arange(len(leads.columns))] += leads.multiples
         return read_only(coefficients[:, 0] if self._rows.b.ndim == 1 else coefficients)
 
     @property
@@ -125,14 +151,13 @@ class TallLeastSquares:
     def fit_rms(self) -> float:
         """E, the root mean square residual over the data, equation (11)."""
         total = self.n_data if self._rows.weights is None else self._rows.weights.sum()
-        rows = len(self._whole.residuals)
-        return float(self._whole.fit_rms(singletons(rows).arrays) * np.sqrt(rows / total))
+        rows = len(self._rest.residuals)
+        return float(self._rest.fit_rms(singletons(rows).arrays) * np.sqrt(rows / total))
 
     @cached_property
     def residuals(self) -> Floats:
         """Return b - A x, (m,) or (m, r)."""
-        plain = replace(self._rows, weights=None, coupling=1)
-        x = self.coefficients.reshape(plain.columns, -1)
+        plain, x = replace(self._led, weights=None, coupling=1), self._rest.coefficients
         of_both = np.vstack([-x, np.eye(plain.responses)])
         calls = ((some, of_both, plain.threads(self._threads)) for some in plain.blocks())
         return read_only(np.concatenate([*plain.each(_core.product, calls)]).reshape(plain.b.shape))
@@ -179,14 +204,14 @@ class TallLeastSquares:
             If the data that some pairs hold out are so far apart that a part would have to read most rows.
         """
         expect_scheme_of(self.n_data, scheme)
-        result = self._predicted(self._rows, scheme, self._rows.threads(threads), progress, resume)
+        result = self._predicted(self._led, scheme, self._rows.threads(threads), progress, resume)
         warn_of_rank_loss(result, len(scheme))
         return result
 
     @property
     def press(self) -> float:
         """P, with every row held out on its own, equation (3)."""
-        rows = self._rows
+        rows = self._led
         weights = None if rows.weights is None else np.repeat(rows.weights, rows.coupling)
         alone = leave_one_out(len(rows.A))
         return self._predicted(
@@ -221,7 +246,7 @@ class TallLeastSquares:
 
     def _key(self, scheme: Scheme) -> NDArray[np.uint8]:
         """A digest that tells these rows, a scheme and its parts from others."""
-        told: list[Any] = [self.coefficients, self.fit_rms, self.n_data, _PART, _CELLS, _CELL]
+        told: list[Any] = [self._triangle, self.n_data, _PART, _CELLS, _CELL]
         if isinstance(scheme, LazyNeighbourhoods):
             told += [scheme.how == "within", scheme.reach, scheme.places.points]
         else:

@@ -4,9 +4,10 @@
 //! algorithms are the plain ones, of numbers that are vectors. What a problem comes to does not depend on its neighbours,
 //! nor on the width of the vectors.
 
-use pulp::Simd;
+use pulp::{Simd, bytemuck};
 
 use crate::fit::factor::Problem;
+use crate::fit::lead::WORTH;
 
 /// Of how many rows, columns and responses each problem is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +33,9 @@ const LONGER: f64 = 1e4;
 /// The sum of the squares of `R^-1`, with columns of A at unit length, up to which a problem is far from rank loss.
 const FAR: f64 = 1e14;
 
+/// By lane, a column and its multiple; zero where the problem has no lead.
+type Leads = [(usize, f64); WIDEST];
+
 /// The fits of problems side by side. Matrices are column-major.
 pub(super) struct Fits<'a, S: Simd> {
     pub shape: Shape,
@@ -45,6 +49,8 @@ pub(super) struct Fits<'a, S: Simd> {
     triangle: &'a mut [S::f64s],
     /// Squared lengths of the columns.
     lengths: &'a mut [S::f64s],
+    /// Squared lengths of the responses.
+    sizes: &'a mut [S::f64s],
     /// Of the reflections `I - v s v^T`, whose vectors v are in the basis first, the numbers s.
     shares: &'a mut [S::f64s],
 }
@@ -53,15 +59,14 @@ impl Shape {
     /// Vectors that the fits take.
     pub fn vectors(self) -> usize {
         let Self { rows, columns, responses } = self;
-        (rows + columns) * (columns + responses) + 2 * columns
+        (rows + columns) * (columns + responses) + 2 * columns + responses
     }
 
     /// Puts the weighted rows of problems into lanes; spare lanes repeat the last problem.
     #[inline(always)]
     pub fn load(self, problems: &[Problem<'_>], width: usize, space: &mut [f64]) {
         let Self { rows, columns, responses } = self;
-        let of_lane: [&Problem<'_>; WIDEST] =
-            std::array::from_fn(|lane| &problems[lane.min(problems.len() - 1)]);
+        let of_lane: [&Problem<'_>; WIDEST] = std::array::from_fn(|lane| of_lane(problems, lane));
         let (basis, space) = space.split_at_mut(rows * columns * width);
         for i in 0..rows {
             let roots = of_lane.map(|problem| problem.root_weights.map_or(1.0, |roots| roots[i]));
@@ -71,6 +76,12 @@ impl Shape {
             spread(space, (rows, i, width), b, roots);
         }
     }
+}
+
+/// The problem of a lane; spare ones repeat the last.
+#[inline(always)]
+fn of_lane<'a, 'b>(problems: &'a [Problem<'b>], lane: usize) -> &'a Problem<'b> {
+    &problems[lane.min(problems.len() - 1)]
 }
 
 /// Puts weighted row i of the matrices of several problems into a matrix of lanes.
@@ -92,20 +103,28 @@ impl<'a, S: Simd> Fits<'a, S> {
     /// Fits problems that `load` has put into the space. A fit is of use only where it is `far` from rank loss, overflow
     /// and underflow.
     #[inline(always)]
-    pub fn new(simd: S, shape: Shape, space: &'a mut [S::f64s]) -> (Self, S::m64s) {
+    pub fn new(simd: S, shape: Shape, problems: &[Problem<'_>], space: &'a mut [S::f64s]) -> (Self, S::m64s) {
         let Shape { rows, columns, responses } = shape;
         let (basis, space) = space.split_at_mut(rows * columns);
         let (residuals, space) = space.split_at_mut(rows * responses);
         let (coefficients, space) = space.split_at_mut(columns * responses);
         let (triangle, space) = space.split_at_mut(columns * columns);
-        let (lengths, shares) = space[..2 * columns].split_at_mut(columns);
-        let mut fits = Self { shape, basis, residuals, coefficients, triangle, lengths, shares };
+        let (lengths, space) = space.split_at_mut(columns);
+        let (shares, space) = space.split_at_mut(columns);
+        let sizes = &mut space[..responses];
+        let mut fits = Self { shape, basis, residuals, coefficients, triangle, lengths, sizes, shares };
         let safe = fits.measure(simd);
         fits.reflect(simd);
         fits.gather(simd);
         fits.project(simd);
+        let leads = fits.leads(simd);
+        if !leads.is_empty() {
+            fits.take(problems, &leads);
+            fits.project(simd);
+        }
         let far = fits.invert(simd);
         fits.solve(simd);
+        fits.give_back(&leads);
         (fits, simd.and_m64s(safe, far))
     }
 
@@ -118,8 +137,9 @@ impl<'a, S: Simd> Fits<'a, S> {
             *length = dot(simd, column, column);
             safe = simd.and_m64s(safe, within(simd, least, *length, most));
         }
-        for column in self.residuals.chunks_exact(self.shape.rows) {
-            safe = simd.and_m64s(safe, within(simd, least, dot(simd, column, column), most));
+        for (column, size) in self.residuals.chunks_exact(self.shape.rows).zip(self.sizes.iter_mut()) {
+            *size = dot(simd, column, column);
+            safe = simd.and_m64s(safe, within(simd, least, *size, most));
         }
         for (unit, length) in self.shares.iter_mut().zip(self.lengths.iter()) {
             *unit = simd.div_f64s(simd.splat_f64s(1.0), *length);
@@ -200,6 +220,53 @@ impl<'a, S: Simd> Fits<'a, S> {
         }
     }
 
+    /// Of each response, the columns that take most of it, as in `fit::lead`; nothing where that is worth it in no lane.
+    #[inline(always)]
+    fn leads(&self, simd: S) -> Vec<Leads> {
+        let (columns, [zero, worth]) = (self.shape.columns, [0.0, WORTH].map(|x| simd.splat_f64s(x)));
+        let mut leads = Vec::new();
+        for (c, known) in self.coefficients.chunks_exact(columns).enumerate() {
+            let (mut most, mut column, mut multiple) = (zero, zero, zero);
+            for (j, (r, length)) in self.triangle.chunks_exact(columns).zip(self.lengths.iter()).enumerate() {
+                let along = dot(simd, &r[..=j], known);
+                let share = simd.div_f64s(along, *length);
+                let square = simd.mul_f64s(share, along);
+                let more = simd.less_than_f64s(most, square);
+                most = simd.select_f64s(more, square, most);
+                column = simd.select_f64s(more, simd.splat_f64s(j as f64), column);
+                multiple = simd.select_f64s(more, share, multiple);
+            }
+            let worth = simd.less_than_f64s(self.sizes[c], simd.mul_f64s(most, worth));
+            if simd.first_true_m64s(worth) < S::F64_LANES {
+                leads.resize(self.shape.responses, [(0, 0.0); WIDEST]);
+                let found = [column, simd.select_f64s(worth, multiple, zero)];
+                let (columns, multiples) =
+                    bytemuck::cast_slice::<S::f64s, f64>(&found).split_at(S::F64_LANES);
+                for (lead, (j, multiple)) in leads[c].iter_mut().zip(columns.iter().zip(multiples)) {
+                    *lead = (*j as usize, *multiple);
+                }
+            }
+        }
+        leads
+    }
+
+    /// The responses again, without these multiples of columns.
+    #[inline(always)]
+    fn take(&mut self, problems: &[Problem<'_>], leads: &[Leads]) {
+        let Shape { rows, columns, responses } = self.shape;
+        for (c, (left, leads)) in self.residuals.chunks_exact_mut(rows).zip(leads).enumerate() {
+            let left = bytemuck::cast_slice_mut::<S::f64s, f64>(left);
+            for (lane, &(j, multiple)) in leads.iter().enumerate().take(S::F64_LANES) {
+                let problem = of_lane(problems, lane);
+                for (i, left) in left[lane..].iter_mut().step_by(S::F64_LANES).enumerate() {
+                    let (b, a) = (problem.responses[i * responses + c], problem.design[i * columns + j]);
+                    let root = problem.root_weights.map_or(1.0, |roots| roots[i]);
+                    *left = root * if multiple == 0.0 { b } else { a.mul_add(-multiple, b) };
+                }
+            }
+        }
+    }
+
     /// `R^-1` in place of R, and whether the design is far from rank loss.
     #[inline(always)]
     fn invert(&mut self, simd: S) -> S::m64s {
@@ -233,6 +300,20 @@ impl<'a, S: Simd> Fits<'a, S> {
                     sum = simd.mul_add_f64s(self.triangle[k * columns + i], *x, sum);
                 }
                 x[i] = sum;
+            }
+        }
+    }
+
+    /// Adds the multiples of columns that were taken to x.
+    #[inline(always)]
+    fn give_back(&mut self, leads: &[Leads]) {
+        for (x, leads) in self.coefficients.chunks_exact_mut(self.shape.columns).zip(leads) {
+            let x = bytemuck::cast_slice_mut::<S::f64s, f64>(x);
+            for (lane, &(j, multiple)) in leads.iter().enumerate().take(S::F64_LANES) {
+                // Adding zero would take the sign of another.
+                if multiple != 0.0 {
+                    x[j * S::F64_LANES + lane] += multiple;
+                }
             }
         }
     }

@@ -251,6 +251,34 @@ mod tests {
         }
     }
 
+    /// A shift by a multiple of a column that is exact in every digit, of one response in some of the lanes.
+    #[test]
+    fn multiples_of_a_column_leave_the_digits_of_residuals() {
+        for held in [singletons(23), windows(23, 1), windows(23, 4)] {
+            let mut stack = Stack::new(19, (23, 4, 2), held);
+            stack.responses.iter_mut().for_each(|b| *b = (*b * 1024.0).round() / 1024.0);
+            stack.designs.chunks_exact_mut(4).for_each(|row| row[2] = 2.0);
+            let before = stack.found();
+            for row in stack.responses.chunks_exact_mut(2 * 23).step_by(3).flat_map(|b| b.chunks_exact_mut(2))
+            {
+                row[1] += 2.0_f64.powi(40);
+            }
+            let now = stack.found();
+            assert_close(&now.residuals, &before.residuals, 1e-12);
+            assert_close(&now.scores, &before.scores, 1e-12);
+            assert_close(&now.fit_rms, &before.fit_rms, 1e-12);
+            let size = before.residuals.len() / 19;
+            for k in 0..19 {
+                let place = k * size..(k + 1) * size;
+                let same = bits(&before.residuals[place.clone()]) == bits(&now.residuals[place]);
+                assert_eq!(same, k % 3 > 0, "{k}");
+                let shift = now.coefficients[8 * k + 6] - before.coefficients[8 * k + 6];
+                let expected = if k % 3 > 0 { 0.0 } else { 2.0_f64.powi(39) };
+                assert!((shift - expected).abs() <= 1e-15 * expected);
+            }
+        }
+    }
+
     #[test]
     fn runs_of_several_shapes_come_one_after_another_for_any_number_of_threads() {
         let stacks = [

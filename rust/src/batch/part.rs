@@ -6,7 +6,7 @@ use crate::batch::lanes::{Fits, Shape, dot};
 use crate::batch::pairs::{self, Pair, System};
 use crate::batch::{Found, Run};
 use crate::error::Error;
-use crate::fit::factor::Factor;
+use crate::fit::factor::{Factor, Problem};
 use crate::holdout::residuals::Status;
 use crate::pool::{Pool, take};
 use crate::sets::Sets;
@@ -204,12 +204,12 @@ impl Plan {
 
     /// Fits and cross-validates the problems that are loaded.
     #[inline(always)]
-    fn solve<S: Simd>(&self, simd: S, space: &mut [S::f64s]) {
+    fn solve<S: Simd>(&self, simd: S, problems: &[Problem<'_>], space: &mut [S::f64s]) {
         let [fits, systems, predictions, _] = self.sizes();
         let (fits, space) = space.split_at_mut(fits);
         let (systems, space) = space.split_at_mut(systems);
         let (predictions, summary) = space.split_at_mut(predictions);
-        let (fits, mut far) = Fits::new(simd, self.shape, fits);
+        let (fits, mut far) = Fits::new(simd, self.shape, problems, fits);
         let mut system = System::new(self.most, self.shape.columns, systems);
         for k in 0..self.held.len() {
             let (pair, place) = self.pair(k);
@@ -246,7 +246,7 @@ impl WithSimd for SideBySide<'_, '_> {
             let lanes = first..part.scores.len().min(first + width);
             let problems: Vec<_> = lanes.clone().map(|k| part.run.1.problem(part.first + k)).collect();
             plan.shape.load(&problems, width, space);
-            plan.solve(simd, S::as_mut_simd_f64s(space).0);
+            plan.solve(simd, &problems, S::as_mut_simd_f64s(space).0);
             for k in lanes {
                 if !part.unpack(plan, k, space, (width, k - first)) {
                     left.push(k);

@@ -92,11 +92,16 @@ pub struct Factor {
     pub(crate) residuals: Vec<f64>,
     /// `Q^T b` of the weighted responses, responses x rank.
     pub(crate) projection: Vec<f64>,
+    /// The largest of each weighted response.
+    largest: Vec<f64>,
     /// Diagonal of the hat matrix.
     pub leverage: Vec<f64>,
     /// Square roots of the weights.
     pub(crate) root_weights: Option<Vec<f64>>,
 }
+
+/// Above this lambda_min(M) predictions would have to be thousands of times as large as the responses to lose nine digits.
+const OUTGROWING: f64 = 1e-3;
 
 /// Coordinates in which the rows of a problem have full rank.
 enum Coordinates {
@@ -205,10 +210,18 @@ impl Factor {
         let Problem { rows, columns, .. } = *problem;
         let Residuals { left, projection, mut leverage } = residuals;
         leverage.resize(rows, 0.0);
+        let responses = problem.responses.len() / rows;
+        let mut largest = vec![0.0; responses];
+        for i in 0..rows {
+            let root = problem.root_weights.map_or(1.0, |roots| roots[i]);
+            for (most, b) in largest.iter_mut().zip(problem.responses_of(i, responses)) {
+                *most = f64::max(*most, (b * root).abs());
+            }
+        }
         Self {
             rows,
             columns,
-            responses: problem.responses.len() / rows,
+            responses,
             rank,
             total_rows: basis.len().checked_div(rank).unwrap_or(problem.total_rows()),
             basis,
@@ -222,6 +235,7 @@ impl Factor {
             residuals: left,
             leverage,
             projection,
+            largest,
             root_weights: problem.root_weights.map(<[f64]>::to_vec),
         }
     }
@@ -232,6 +246,17 @@ impl Factor {
     /// lambda_min(M) may be ten times too large.
     pub(crate) fn closed_form_least(&self) -> f64 {
         f64::max(2e-6, self.certain_least())
+    }
+
+    /// Whether weighted predictions of the closed form, of a pair with this lambda_min(M), are so much larger than the
+    /// responses that nine digits of these are not left.
+    pub(crate) fn outgrown(&self, predictions: &[f64], least: f64) -> bool {
+        if least > OUTGROWING {
+            return false;
+        }
+        let bound = 1e-9 / f64::EPSILON * least;
+        let mut rows = predictions.chunks_exact(self.responses.max(1));
+        rows.any(|row| row.iter().zip(&self.largest).any(|(e, largest)| e.abs() > bound * largest))
     }
 
     /// Above this estimate of lambda_min(M) training rows have the rank of the design.

@@ -14,7 +14,7 @@ use crate::pool::Pool;
 
 /// Square of a response over that of the multiple up to which it is worth a look at the column: a quarter of its length
 /// is left at most.
-const WORTH: f64 = 16.0 / 15.0;
+pub(crate) const WORTH: f64 = 16.0 / 15.0;
 
 /// Rows of a block.
 const ROWS: usize = 4096;

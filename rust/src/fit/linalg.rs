@@ -19,6 +19,7 @@ use faer::reborrow::{Reborrow, ReborrowMut};
 use faer::{Accum, ColMut, Conj, Mat, MatMut, MatRef, Par};
 
 use crate::error::Error;
+use crate::fit::jacobi;
 use crate::pool::Pool;
 
 /// Sum of products, in eight running sums so that it vectorises; with wider vectors in work that `pulp` dispatches. They are
@@ -219,7 +220,7 @@ fn reflect_parts(
 
 /// Singular value decomposition `U diag(s) V^T`, the values in decreasing order.
 pub struct Svd {
-    /// rows x min(rows, columns).
+    /// rows x min(rows, columns); where a value is zero, what it is is open.
     pub u: Vec<f64>,
     /// min(rows, columns).
     pub s: Vec<f64>,
@@ -244,7 +245,7 @@ fn decompose(a: &[f64], rows: usize, columns: usize) -> Result<Svd, Error> {
     let (mut u, mut s, mut v) = (Mat::zeros(rows, size), faer::Col::zeros(size), Mat::zeros(columns, size));
     let thin = svd::ComputeSvdVectors::Thin;
     let request = svd::svd_scratch::<f64>(rows, columns, thin, thin, Par::Seq, Default::default());
-    svd::svd(
+    let found = svd::svd(
         MatRef::from_column_major_slice(a, rows, columns),
         s.as_diagonal_mut(),
         Some(u.as_mut()),
@@ -252,8 +253,10 @@ fn decompose(a: &[f64], rows: usize, columns: usize) -> Result<Svd, Error> {
         Par::Seq,
         MemStack::new(&mut MemBuffer::new(request)),
         Default::default(),
-    )
-    .map_err(|_| Error::NoConvergence)?;
+    );
+    if found.is_err() {
+        return jacobi::thin_svd(a, rows, columns);
+    }
     Ok(Svd { u: columns_of(u.as_ref()), s: s.iter().copied().collect(), v: columns_of(v.as_ref()) })
 }
 

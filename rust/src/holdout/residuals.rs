@@ -186,8 +186,8 @@ struct Residuals {
 impl Residuals {
     /// Accepts the solution of the k-th of the last `pairs` pairs, unless it is too close to rank loss.
     fn accept(&mut self, factor: &Factor, work: &Workspace, (k, pairs): (usize, usize), least: f64) {
-        if least >= factor.closed_form_least() {
-            let (out, status) = self.slot(factor, work, (k, pairs));
+        let (out, status) = self.slot(factor, work, (k, pairs));
+        if least >= factor.closed_form_least() && !factor.outgrown(out, least) {
             unweight(factor, &work.rows[..work.validated], out);
             *status = Some(Status::Closed);
         }

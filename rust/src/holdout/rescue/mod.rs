@@ -271,6 +271,18 @@ mod tests {
         }
     }
 
+    /// Far enough from rank loss for predictions as large as the responses, but not for larger ones.
+    #[test]
+    fn predictions_much_larger_than_responses_are_refined() {
+        let (held, mut example) = (sets([&[38, 39]]), Example::nearly_lost(40, 5, 5e-4));
+        for (training, status, tolerance) in [(1.0, Status::Refined, 1e-12), (1e-3, Status::Closed, 1e-10)] {
+            example.responses.iter_mut().take(76).for_each(|b| *b *= training);
+            let found = predict(&example, &[(&held, &held)]);
+            assert_eq!(found.status, [status]);
+            assert_close(&found.residuals, &example.refit(held.get(0), held.get(0)), tolerance);
+        }
+    }
+
     /// Whatever they validate, and in whatever order they list it; more sets than are refined together.
     #[test]
     fn pairs_that_hold_out_the_same_are_solved_once() {
