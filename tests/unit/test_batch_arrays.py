@@ -59,9 +59,12 @@ def arrive(calls, folder, options=None):
     assert refused == []
     sources = opened(sharing.sources)
     some = pickle.loads(pickle.dumps(some))
-    found = [whole(light and pickle.loads(light), sources, rows) for _, light, rows in some]
+    found = [
+        whole(pickle.loads(light) if isinstance(light, bytes) else light, sources, rows)
+        for _, light, rows in some
+    ]
     assert [index for index, *_ in some] == [*range(len(calls))]
-    return found, sharing.sources, some.stacks, max(len(light or b"") for _, light, _ in some)
+    return found, sharing.sources, some.stacks, max(map(len, some.others or [b""]))
 
 
 def as_calls(problems):

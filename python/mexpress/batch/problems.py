@@ -331,7 +331,7 @@ def _in_turn(
 
 def _outcome(task: Task, index: int, call: Call, timeout: float | None) -> Outcome:
     if timeout is not None:
-        return task.attempt_within(index, (*call, []), {}, timeout)
+        return task.attempt(index, (*call, []), {}, timeout)
     try:
         return True, task.call(*call)
     except Exception as error:  # as it is: it need not be sent

@@ -43,7 +43,7 @@ def serve(connection: Connection, path: Path, payload: bytes) -> None:
 def _work(task: Task, some: Parcel, connection: Connection, spool: Spool) -> None:
     """Make calls, until all are made or a spell is over."""
     begun = sent = now = time.monotonic()
-    last = some.lights[-1][0]
+    last = some.indices[-1]
     for index, light, rows in some:
         spool.begin(now)
         outcome = packed(task, index, light, rows)

@@ -129,7 +129,7 @@ class Crew:
         self.files = (self.folder / f"{number}.memory" for number in count())
         self.trays: list[Tray] = []
         self.calls = calls
-        self.next: tuple[list[int], list[bytes | memoryview], Tray] | None = None
+        self.next: tuple[Sequence[int], list[bytes | memoryview], Tray] | None = None
         self.workers: list[Worker] = []
         self.starts = 0
         atexit.register(self.close)  # before multiprocessing waits for all processes
@@ -177,8 +177,8 @@ class Crew:
             tray = self.trays.pop() if self.trays else Tray(next(self.files))
             tray.clear()
             some, refused = parcel(chunk[:fit], self.calls, self.sharing, tray)
-            if some.lights:
-                self.next = [index for index, _ in some.lights], frames(some), tray
+            if some.indices:
+                self.next = some.indices, frames(some), tray
             else:
                 self.trays.append(tray)
             results += self.agenda.settle((index, failed(index, error)) for index, error in refused)
