@@ -11,7 +11,7 @@ import numpy as np
 
 from mexpress.batch.pickling import dumps
 from mexpress.batch.sharing import Array, Call, Key, Light, Sharing
-from mexpress.batch.tray import ROOM, Lying, Tray
+from mexpress.batch.tray import Lying, Tray
 
 _BLOCK = 1 << 15
 """Bytes that are copied at once: a row that a function keeps keeps no more."""
@@ -75,11 +75,10 @@ def parcel(
     return Parcel(chunk, others or None, {key: _stacked(column, tray) for key, column in alike.items()}), []
 
 
-def fitting(chunk: Sequence[int], calls: Sequence[Call]) -> int:
-    """Return how many of some problems have room on a tray, if all are like the first: at least that."""
-    args, named = calls[chunk[0]]
-    nbytes = sum(value.nbytes for value in (*args, *named.values()) if type(value) is np.ndarray)
-    return max(1, ROOM // max(nbytes, 1))
+def weight(call: Call, sharing: Sharing) -> int:
+    """Return the bytes of the arrays that are sent for a problem."""
+    arrays = [value for value in (*call[0], *call[1].values()) if type(value) is np.ndarray]
+    return sum(array.nbytes for array in arrays if not sharing.has(array))
 
 
 def _alike(calls: Sequence[Call], sharing: Sharing) -> dict[Key, list[Array]]:
