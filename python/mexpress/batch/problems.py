@@ -247,7 +247,7 @@ def _results(
     with ExitStack() as stack:
         step = stack.enter_context(show([1] * len(calls)))
         left = dict.fromkeys(range(len(calls)))
-        journal = stack.enter_context(closing(Journal(file, task, calls))) if file else None
+        journal = Journal(file, task, calls) if file else None
         for index, result in journal.known() if journal else ():
             if index in left:
                 del left[index]
