@@ -51,6 +51,9 @@ class Parcel:
             return
         stacks = [stack.array() if isinstance(stack, Lying) else stack for stack in self.stacks.values()]
         step = max(1, _BLOCK * number // max(1, sum(stack.nbytes for stack in stacks)))
+        if step == 1:
+            yield from (tuple([row.copy() for row in rows]) for rows in zip(*stacks, strict=True))
+            return
         for start in range(0, number, step):
             yield from zip(*[stack[start : start + step].copy() for stack in stacks], strict=True)
 
