@@ -8,9 +8,9 @@ their own. All ways take turns, with one thread a process, and must give the sam
 `cross_validate_batch`, which takes the whole stack in one call with two threads. The table has the least times.
 
 The clock starts when all processes are there, and stops with the last result: those of `map_problems`, which come and
-go with every call (a second or two in all, as they import this script), wait for each other first; others have theirs
-from the beginning, and make some calls before. `concurrent.futures` gets 24 chunks; joblib chooses itself. Memory is
-the most that this process has beyond what it had before.
+go with every call (a second or two in all, as they import this script), make a call and wait for each other first;
+others have theirs from the beginning, and make some calls before. `concurrent.futures` gets 24 chunks; joblib chooses
+itself. Memory is the most that this process has beyond what it had before.
 """
 
 import argparse
@@ -49,11 +49,12 @@ def star(function: Callable, problem: tuple) -> float:
 
 
 def together(
-    A: np.ndarray | None, b: np.ndarray | int, function: Callable, folder: Path, workers: int
+    A: np.ndarray | None, b: np.ndarray | int, function: Callable, first: tuple, folder: Path, workers: int
 ) -> float:
-    """A call; without A, wait until all workers are here."""
+    """A call; without A, make the first one, and wait until all workers have made theirs."""
     if A is not None:
         return function(A, b)
+    function(*first)  # which imports what it needs
     (folder / str(b)).touch()
     while len(list(folder.iterdir())) < workers:
         time.sleep(0.001)
@@ -64,7 +65,9 @@ def together(
 def by_map_problems(workers: int) -> Iterator[Callable]:
     def run(function, some):
         with TemporaryDirectory() as folder:
-            options = {"function": function, "folder": Path(folder), "workers": workers}
+            A, b = some[0]
+            first = A[:1000].copy(), b.copy()  # no part of what problems share
+            options = {"function": function, "first": first, "folder": Path(folder), "workers": workers}
             call = partial(together, **options)
             waiting = [(None, number) for number in range(workers)]
             begun, ended, found = None, 0.0, {}

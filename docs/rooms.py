@@ -45,7 +45,17 @@ ROOMS = {
     "schemes": Room(1, 1, "what is held out", (6,)),
     "placement": Room(3, 1, "control points", (2,)),
 }
-GROUND = ["_validation", "extras", "geometry", "index_sets", "logger", "notebook", "progress", "resampling"]
+GROUND = [
+    "_validation",
+    "extras",
+    "geometry",
+    "index_sets",
+    "logger",
+    "notebook",
+    "progress",
+    "records",
+    "resampling",
+]
 RUST = ["evaluate", "fit", "holdout", "near", "place"]
 NOT_DRAWN = ["__init__", "__main__", "versions"]
 
@@ -102,8 +112,8 @@ def draw(picture: Path = PICTURE) -> None:
             axes.text(
                 *place, f"{step}", size=8, weight="bold", color="white", ha="center", va="center", bbox=badge
             )
-    box(axes, 2, -0.1, (4.86, SIZE[1]), "     ".join(GROUND), "all rooms stand on these")
-    box(axes, 2, -0.9, (4.86, SIZE[1]), "_core:     " + "     ".join(RUST), "mathematics on slices, in Rust")
+    box(axes, 2, -0.1, (4.97, SIZE[1]), "  ".join(GROUND), "all rooms stand on these")
+    box(axes, 2, -0.9, (4.97, SIZE[1]), "_core:     " + "     ".join(RUST), "mathematics on slices, in Rust")
     arrows = read_arrows()
     for pair, late in arrows.items():
         line = {

@@ -14,7 +14,8 @@ import pytest
 from inputs import refused
 
 import mexpress as mx
-from mexpress.batch.parcels import parcel
+from mexpress.batch.agenda import Agenda
+from mexpress.batch.parcels import parcel, weight
 from mexpress.batch.sharing import Sharing, opened, whole
 from mexpress.batch.tray import ROOM, Tray
 
@@ -59,9 +60,12 @@ def arrive(calls, folder, options=None):
     assert refused == []
     sources = opened(sharing.sources)
     some = pickle.loads(pickle.dumps(some))
-    found = [whole(light and pickle.loads(light), sources, rows) for _, light, rows in some]
+    found = [
+        whole(pickle.loads(light) if isinstance(light, bytes) else light, sources, rows)
+        for _, light, rows in some
+    ]
     assert [index for index, *_ in some] == [*range(len(calls))]
-    return found, sharing.sources, some.stacks, max(len(light or b"") for _, light, _ in some)
+    return found, sharing.sources, some.stacks, max(map(len, some.others or [b""]))
 
 
 def as_calls(problems):
@@ -114,6 +118,18 @@ def test_what_is_alike_is_one_array(tmp_path):
         assert list(stacks) == keys, name
     for name in ("ways", "shapes", "orders", "objects", "nothing", "masked"):
         assert arrive(as_calls(ALIKE[name]), tmp_path)[2] == {}, name
+
+
+def test_only_what_is_sent_with_a_problem_takes_room():
+    shared = [((LARGE, part.copy()), {}) for part in LARGE]
+    sharing = Sharing(shared, {}, lambda array: array, mapped=False)
+    assert weight(shared[0], sharing) == LARGE[0].nbytes
+    agenda = Agenda(range(40), 40, 0, True)
+    agenda.learn(1, 1e-6)
+    assert agenda.take(1, 1.0, lambda index: 7 + index) == [*range(7)]
+    assert agenda.take(1, 1.0, lambda index: 7 + index) == [*range(7, 21)]
+    assert agenda.take(1, 1.0) == [*range(21, 40)]
+    assert agenda.take(1, 1.0, lambda index: 1) == []
 
 
 def test_a_problem_that_cannot_be_sent_leaves_the_others_as_they_are():

@@ -54,13 +54,18 @@ class Agenda:
         self.failures: set[int] = set()
         self.first: Failure | None = None
 
-    def take(self, workers: int, spell: float) -> list[int]:
-        """Return problems for one of so many workers: what fills so many seconds, and leaves enough for the others."""
+    def take(self, workers: int, spell: float, room: Callable[[int], int] | None = None) -> list[int]:
+        """Return problems for one of so many workers: what fills so many seconds, and leaves enough for the others.
+
+        There are no more than have room if all are like the first.
+        """
         if self.suspects:
             return [self.suspects.pop()]
         share = math.ceil(len(self.waiting) / (2 * workers))
         pace = max(self.pace, 1e-9)
         most = max(1, min(max(share, int(_LEAST / pace)), int(spell / pace)))
+        if room and self.waiting:
+            most = min(most, room(self.waiting[-1]))
         taken = self.waiting[: -most - 1 : -1]
         del self.waiting[-most:]
         return taken

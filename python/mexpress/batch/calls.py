@@ -63,20 +63,21 @@ class Task:
         """Return the result of a problem."""
         return self.function(*args, **{**self.options, **named})
 
-    def attempt(self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array]) -> Outcome:
-        """Make a call in a worker."""
+    def attempt(
+        self, index: int, light: Light | bytes, rows: Mapping[Key, Array], timeout: float | None = None
+    ) -> Outcome:
+        """Make a call in a worker; with a timeout in a thread, which is left to itself if it takes too long."""
+        if timeout is not None:
+            return self._attempt_within(timeout, index, light, rows)
         try:
             given = pickle.loads(light) if isinstance(light, bytes) else light
             return True, self.call(*whole(given, self.sources, rows))
         except BaseException as error:  # also SystemExit, which ends no worker
             return failed(index, error)
 
-    def attempt_within(
-        self, index: int, light: Light | bytes | None, rows: Mapping[Key, Array], timeout: float | None
+    def _attempt_within(
+        self, timeout: float, index: int, light: Light | bytes, rows: Mapping[Key, Array]
     ) -> Outcome:
-        """Make a call where it cannot be stopped: what takes too long is left to itself."""
-        if timeout is None:
-            return self.attempt(index, light, rows)
         outcome: SimpleQueue[Outcome] = SimpleQueue()
         call = partial(copy_context().run, lambda: outcome.put(self.attempt(index, light, rows)))
         Thread(target=call, daemon=True).start()
@@ -94,13 +95,13 @@ def assembled(function: Callable[..., Any], options: Light, sources: Sequence[By
 def packed(
     task: Task,
     index: int,
-    light: Light | bytes | None,
+    light: Light | bytes,
     rows: Mapping[Key, Array],
     timeout: float | None = None,
 ) -> bytes:
     """Make a call in a worker; return its outcome as it is sent."""
     try:
-        return dumps(task.attempt_within(index, light, rows, timeout))
+        return dumps(task.attempt(index, light, rows, timeout))
     except Exception as error:  # pickling can raise anything
         return dumps(failed(index, unpicklable(error)))
 

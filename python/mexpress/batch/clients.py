@@ -118,7 +118,7 @@ def _spell(
     begun, outcomes = time.monotonic(), []
     token = within.set(True)  # of a thread that may have other work, too
     try:
-        make = packed if isinstance(some, Parcel) else Task.attempt_within
+        make = packed if isinstance(some, Parcel) else Task.attempt
         for index, light, rows in some:
             outcomes.append((index, make(task, index, light, rows, timeout)))
             if time.monotonic() - begun > _SPELL:

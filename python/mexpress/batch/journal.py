@@ -5,62 +5,42 @@ from __future__ import annotations
 import hashlib
 import inspect
 import pickle
-import struct
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
-from mexpress import _validation as check
 from mexpress.batch.agenda import Results
 from mexpress.batch.calls import Task, unpicklable
 from mexpress.batch.pickling import dumps
 from mexpress.batch.sharing import Call
+from mexpress.records import Records
 
 _RULE = "It must be a new file, or one of results that this version of mexpress has written."
-_HEAD = struct.Struct("<IQ")
 
 
 class Journal:
     """A file that gets result after result.
 
     A result is known by the place of its problem, and by a fingerprint of what it is of: the function and all its
-    arguments. What follows the last whole record of a file is cut off: a run was ended while it wrote.
+    arguments.
     """
 
     def __init__(self, path: Path, task: Task, calls: Sequence[Call]) -> None:
         self.calls = calls
         self.arrays: dict[int, bytes] = {}
         self.common = self._fingerprint(_name(task.function), task.options)
-        self.file = path.open("a+b", buffering=0)
-        self.file.seek(0)
         title = f"mexpress {version('mexpress')}: results of map_problems\n".encode()
-        given = self.file.read(len(title))
-        if not title.startswith(given):
-            self.file.close()
-            check.refuse("resume", _RULE, f"{path}, which begins with {check.describe(given[:40])}")
-        if given == title:
-            self._cut_off(path, len(title))
-        else:
-            self.file.truncate(0)
-            self.file.write(title)
-        self.start = len(title)
-
-    def close(self) -> None:
-        """Close the file."""
-        self.file.close()
+        self.records = Records(path, title, _RULE)
 
     def known(self) -> Iterator[tuple[int, Any]]:
         """Return the results that the file holds, with the indices of their problems."""
-        with open(self.file.name, "rb") as file:
-            file.seek(self.start)
-            for body in _records(file):
-                index, fingerprint, packed = pickle.loads(body)
-                if index < len(self.calls) and fingerprint == self._fingerprint_of(index):
-                    yield index, pickle.loads(packed)
+        for record in self.records:
+            index, fingerprint, packed = pickle.loads(record)
+            if index < len(self.calls) and fingerprint == self._fingerprint_of(index):
+                yield index, pickle.loads(packed)
 
     def add(self, results: Results) -> list[tuple[int, Exception]]:
         """Write results, at once; return those that cannot be pickled, with the reasons."""
@@ -68,19 +48,11 @@ class Journal:
         refused: list[tuple[int, Exception]] = []
         for index, result in results:
             try:
-                body = pickle.dumps((index, self._fingerprint_of(index), dumps(result)))
+                records.append(pickle.dumps((index, self._fingerprint_of(index), dumps(result))))
             except Exception as error:  # pickling can raise anything
                 refused.append((index, unpicklable(error)))
-            else:
-                records += [_HEAD.pack(zlib.crc32(body), len(body)), body]
-        self.file.write(b"".join(records))
+        self.records.add(records)
         return refused
-
-    def _cut_off(self, path: Path, start: int) -> None:
-        with path.open("rb") as file:
-            file.seek(start)
-            end = start + sum(_HEAD.size + len(body) for body in _records(file))
-        self.file.truncate(end)
 
     def _fingerprint_of(self, index: int) -> bytes:
         args, named = self.calls[index]
@@ -107,13 +79,3 @@ def _name(function: Any) -> Any:
     name = getattr(function, "__qualname__", None)
     alone = name is None or "<" in name or inspect.ismethod(function)
     return function if alone else (getattr(function, "__module__", None), name)
-
-
-def _records(file: BinaryIO) -> Iterator[bytes]:
-    """Return the whole records from here on."""
-    while len(head := file.read(_HEAD.size)) == _HEAD.size:
-        checksum, length = _HEAD.unpack(head)
-        body = file.read(length)
-        if len(body) != length or zlib.crc32(body) != checksum:
-            return
-        yield body

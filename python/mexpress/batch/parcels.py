@@ -2,87 +2,117 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from mexpress.batch.pickling import dumps
-from mexpress.batch.sharing import Array, Call, Key, Sharing
-from mexpress.batch.tray import ROOM, Lying, Tray
+from mexpress.batch.sharing import Array, Call, Key, Light, Sharing
+from mexpress.batch.tray import Lying, Tray
 
-Item: TypeAlias = tuple[int, Any, dict[Key, Array]]
+_BLOCK = 1 << 15
+"""Bytes that are copied at once: a row that a function keeps keeps no more."""
+
+Item: TypeAlias = tuple[int, Light | bytes, Mapping[Key, Array]]
 """A problem, its arguments as they are sent, and those of them that are rows of one array."""
 
 
 @dataclass(frozen=True)
 class Parcel:
-    """Problems with the arguments that are no rows, as bytes, each for itself: if one cannot be read, others can."""
+    """Problems with the arguments that are no rows, as bytes, each for itself: if one cannot be read, others can.
 
-    lights: list[tuple[int, bytes | None]]
-    stacks: dict[Key, Array | Lying]
+    There are no bytes if all arguments are rows.
+    """
+
+    indices: Sequence[int]
+    others: Sequence[bytes] | None
+    stacks: Mapping[Key, Array | Lying]
 
     def __iter__(self) -> Iterator[Item]:
-        keys = list(self.stacks)
+        keys, rows = list(self.stacks), self._rows()
+        if self.others is not None:
+            for index, light, own in zip(self.indices, self.others, rows, strict=True):
+                yield index, light, dict(zip(keys, own, strict=True))
+        else:
+            names = [key for key in keys if isinstance(key, str)]
+            by_position = len(keys) - len(names)
+            for index, own in zip(self.indices, rows, strict=True):
+                named = dict(zip(names, own[by_position:], strict=True)) if names else {}
+                yield index, (own[:by_position], named, []), {}
+
+    def _rows(self) -> Iterator[tuple[Array, ...]]:
+        """Return the rows of each problem, copied some problems at a time: they may be kept and written to."""
+        number = len(self.indices)
+        if not self.stacks:
+            yield from repeat((), number)
+            return
         stacks = [stack.array() if isinstance(stack, Lying) else stack for stack in self.stacks.values()]
-        for (index, light), *rows in zip(self.lights, *stacks, strict=True):
-            yield index, light, {key: row.copy() for key, row in zip(keys, rows, strict=True)}
+        step = max(1, _BLOCK * number // max(1, sum(stack.nbytes for stack in stacks)))
+        if step == 1:
+            yield from (tuple([row.copy() for row in rows]) for rows in zip(*stacks, strict=True))
+            return
+        for start in range(0, number, step):
+            yield from zip(*[stack[start : start + step].copy() for stack in stacks], strict=True)
 
 
 def parcel(
     chunk: Sequence[int], calls: Sequence[Call], sharing: Sharing, tray: Tray | None = None
 ) -> tuple[Parcel, list[tuple[int, Exception]]]:
     """Return problems as they are sent, and those that cannot be, with the reasons."""
-    alike = _alike([calls[index] for index in chunk], sharing)
-    lights: list[tuple[int, bytes | None]] = []
-    refused = []
-    for index in chunk:
-        args, named = calls[index]
-        try:
-            others = len(args) + len(named) > len(alike)
-            lights.append((index, dumps(sharing.light(*_without(alike, args, named))) if others else None))
-        except Exception as error:  # pickling can raise anything
-            refused.append((index, error))
+    some = [calls[index] for index in chunk]
+    alike = _alike(some, sharing)
+    others: list[bytes] = []
+    refused: list[tuple[int, Exception]] = []
+    if not alike or any(len(args) + len(named) > len(alike) for args, named in some):
+        for index, call in zip(chunk, some, strict=True):
+            try:
+                others.append(dumps(sharing.light(*_without(alike, call))))
+            except Exception as error:  # pickling can raise anything
+                refused.append((index, error))
     if refused:
         gone = {index for index, _ in refused}
-        alike = {
-            key: [array for index, array in zip(chunk, column, strict=True) if index not in gone]
-            for key, column in alike.items()
-        }
-    return Parcel(lights, {key: _stacked(column, tray) for key, column in alike.items() if column}), refused
+        return parcel([index for index in chunk if index not in gone], calls, sharing, tray)[0], refused
+    return Parcel(chunk, others or None, {key: _stacked(column, tray) for key, column in alike.items()}), []
 
 
-def fitting(chunk: Sequence[int], calls: Sequence[Call]) -> int:
-    """Return how many of some problems have room on a tray, if all are like the first: at least that."""
-    args, named = calls[chunk[0]]
-    nbytes = sum(value.nbytes for value in (*args, *named.values()) if type(value) is np.ndarray)
-    return max(1, ROOM // max(nbytes, 1))
+def weight(call: Call, sharing: Sharing) -> int:
+    """Return the bytes of the arrays that are sent for a problem."""
+    arrays = [value for value in (*call[0], *call[1].values()) if type(value) is np.ndarray]
+    return sum(array.nbytes for array in arrays if not sharing.has(array))
 
 
 def _alike(calls: Sequence[Call], sharing: Sharing) -> dict[Key, list[Array]]:
     """Return the arguments that are arrays of one shape and type in all calls, call after call."""
-    found: dict[Key, list[Array]] = {}
     if len(calls) < 2:
-        return found
-    args, named = calls[0]
-    keys: list[Key] = [*range(len(args)), *named]
-    for key in keys:
-        first = _argument(calls[0], key)
-        if type(first) is not np.ndarray or first.ndim == 0 or first.dtype.hasobject:
-            continue
-        shape, dtype = first.shape, first.dtype
-        column = [_argument(call, key) for call in calls]
-        if all(
+        return {}
+    first_args, first_named = calls[0]
+    columns: dict[Key, list[Any]] = {
+        place: [args[place] if place < len(args) else None for args, _ in calls]
+        for place in range(len(first_args))
+    }
+    columns |= {name: [named.get(name) for _, named in calls] for name in first_named}
+    return {key: column for key, column in columns.items() if _is_stack(column, sharing)}
+
+
+def _is_stack(column: Sequence[Any], sharing: Sharing) -> bool:
+    """Return whether arguments are arrays of one shape and type, none of which is sent once."""
+    first = column[0]
+    if type(first) is not np.ndarray or first.ndim == 0 or first.dtype.hasobject:
+        return False
+    shape, dtype = first.shape, first.dtype
+    return all(
+        [
             type(value) is np.ndarray
             and value.shape == shape
             and value.dtype == dtype
             and value.flags.c_contiguous
             and not sharing.has(value)
             for value in column
-        ):
-            found[key] = column
-    return found
+        ]
+    )
 
 
 def _stacked(column: Sequence[Array], tray: Tray | None) -> Array | Lying:
@@ -94,15 +124,11 @@ def _stacked(column: Sequence[Array], tray: Tray | None) -> Array | Lying:
     return np.concatenate(column, out=flat).reshape(number, *shape)
 
 
-def _without(keys: Container[Key], args: tuple[Any, ...], named: Mapping[str, Any]) -> Call:
+def _without(keys: Collection[Key], call: Call) -> Call:
+    if not keys:
+        return call
+    args, named = call
     return (
         tuple(None if key in keys else value for key, value in enumerate(args)),
         {key: None if key in keys else value for key, value in named.items()},
     )
-
-
-def _argument(call: Call, key: Key) -> Any:
-    args, named = call
-    if isinstance(key, str):
-        return named.get(key)
-    return args[key] if key < len(args) else None

@@ -247,7 +247,7 @@ def _results(
     with ExitStack() as stack:
         step = stack.enter_context(show([1] * len(calls)))
         left = dict.fromkeys(range(len(calls)))
-        journal = stack.enter_context(closing(Journal(file, task, calls))) if file else None
+        journal = Journal(file, task, calls) if file else None
         for index, result in journal.known() if journal else ():
             if index in left:
                 del left[index]
@@ -331,7 +331,7 @@ def _in_turn(
 
 def _outcome(task: Task, index: int, call: Call, timeout: float | None) -> Outcome:
     if timeout is not None:
-        return task.attempt_within(index, (*call, []), {}, timeout)
+        return task.attempt(index, (*call, []), {}, timeout)
     try:
         return True, task.call(*call)
     except Exception as error:  # as it is: it need not be sent

@@ -14,11 +14,9 @@ from mexpress.batch.process import prepare
 from mexpress.batch.sharing import opened
 from mexpress.batch.spool import Spool, framed
 
-SPELL = 0.03
-"""Seconds of work that a worker is given at once, and after which it gives back what it has not begun."""
-
-_PERIOD = 0.02
-"""Seconds after which outcomes are sent: a problem that takes longer is sent at once, and never in the spool."""
+SPELL = 0.02
+"""Seconds of work that a worker is given at once. After them it sends outcomes, and gives back what it has not begun:
+a problem that takes longer is sent at once."""
 
 
 def serve(connection: Connection, path: Path, payload: bytes) -> None:
@@ -42,17 +40,17 @@ def serve(connection: Connection, path: Path, payload: bytes) -> None:
 
 def _work(task: Task, some: Parcel, connection: Connection, spool: Spool) -> None:
     """Make calls, until all are made or a spell is over."""
-    begun = sent = now = time.monotonic()
-    last = some.lights[-1][0]
+    begun = now = time.monotonic()
+    last = some.indices[-1]
     for index, light, rows in some:
         spool.begin(now)
         outcome = packed(task, index, light, rows)
         now = time.monotonic()
         finished = now - begun > SPELL or index == last
         rest = b"" if spool.keep(index, outcome) else framed(index, outcome)
-        if finished or now - sent > _PERIOD or rest:
+        if finished or rest:
             connection.send_bytes(bytes([finished]) + spool.content() + rest)
             spool.clear()
-            sent = now = time.monotonic()
+            now = time.monotonic()
         if finished:
             return

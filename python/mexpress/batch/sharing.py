@@ -6,6 +6,7 @@ import mmap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -92,14 +93,11 @@ class Sharing:
         return None
 
 
-def whole(light: Light | None, sources: Sequence[Bytes], rows: Mapping[Key, Array]) -> Call:
+def whole(light: Light, sources: Sequence[Bytes], rows: Mapping[Key, Array]) -> Call:
     """Return the arguments that were sent, with the rows of others that are in one array with theirs.
 
     Shared arrays cannot be written to: others see the same memory.
     """
-    if light is None:  # all are rows, in order
-        positions = [row for key, row in rows.items() if isinstance(key, int)]
-        return tuple(positions), {key: row for key, row in rows.items() if isinstance(key, str)}
     args, named, places = light
     if not places and not rows:
         return args, named
@@ -134,12 +132,12 @@ def _root(array: Array) -> Array:
 
 def _needs(calls: Sequence[Call], options: Mapping[str, Any]) -> Iterable[_Need]:
     needs: dict[int, _Need] = {}
-    every = [((*args, *named.values()), 1) for args, named in calls]
-    for values, times in [*every, (tuple(options.values()), len(calls))]:
-        for value in values:
+    every = ((args, named, 1) for args, named in calls)
+    for args, named, times in chain(every, [((), options, len(calls))]):
+        for value in (*args, *named.values()):
             if type(value) in _ARRAYS:
                 root = _root(value)
-                need = needs.setdefault(id(root), _Need(root))
+                need = needs.get(id(root)) or needs.setdefault(id(root), _Need(root))
                 need.nbytes += times * value.nbytes
     return needs.values()
 

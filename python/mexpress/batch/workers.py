@@ -20,13 +20,13 @@ from tempfile import mkdtemp, mkstemp
 
 from mexpress.batch.agenda import TICK, Agenda, Results
 from mexpress.batch.calls import Task, failed, timed_out, unpacked
-from mexpress.batch.parcels import fitting, parcel
+from mexpress.batch.parcels import parcel, weight
 from mexpress.batch.pickling import dumps, frames, send
 from mexpress.batch.process import Process
 from mexpress.batch.serving import SPELL, serve
 from mexpress.batch.sharing import Bytes, Call, Sharing
 from mexpress.batch.spool import Packed, kept, unframed
-from mexpress.batch.tray import Tray
+from mexpress.batch.tray import ROOM, Tray
 from mexpress.logger import LOG
 
 _STARTS = 3
@@ -129,7 +129,7 @@ class Crew:
         self.files = (self.folder / f"{number}.memory" for number in count())
         self.trays: list[Tray] = []
         self.calls = calls
-        self.next: tuple[list[int], list[bytes | memoryview], Tray] | None = None
+        self.next: tuple[Sequence[int], list[bytes | memoryview], Tray] | None = None
         self.workers: list[Worker] = []
         self.starts = 0
         atexit.register(self.close)  # before multiprocessing waits for all processes
@@ -171,18 +171,20 @@ class Crew:
     def _prepare(self, number: int) -> Results:
         """Have problems ready to be sent, if any are left; return those that cannot be, if they have failed."""
         results: Results = []
-        while not self.next and (chunk := self.agenda.take(number, SPELL)):
-            fit = fitting(chunk, self.calls)
-            self.agenda.put_back(chunk[fit:])
+        while not self.next and (chunk := self.agenda.take(number, SPELL, self._room)):
             tray = self.trays.pop() if self.trays else Tray(next(self.files))
             tray.clear()
-            some, refused = parcel(chunk[:fit], self.calls, self.sharing, tray)
-            if some.lights:
-                self.next = [index for index, _ in some.lights], frames(some), tray
+            some, refused = parcel(chunk, self.calls, self.sharing, tray)
+            if some.indices:
+                self.next = some.indices, frames(some), tray
             else:
                 self.trays.append(tray)
             results += self.agenda.settle((index, failed(index, error)) for index, error in refused)
         return results
+
+    def _room(self, index: int) -> int:
+        """Return how many problems like this one have room on a tray."""
+        return max(1, ROOM // max(1, weight(self.calls[index], self.sharing)))
 
     def _occupy(self, worker: Worker) -> None:
         """Give an idle worker what is ready to be sent."""

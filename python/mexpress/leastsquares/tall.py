@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mexpress import _core
 from mexpress import _validation as check
@@ -221,7 +220,7 @@ class TallLeastSquares:
     def _predicted(
         self, rows: Rows, scheme: Scheme, threads: int, progress: bool | Callable[..., Any], resume: Any
     ) -> CrossValidation:
-        finished = Finished(None if resume is None else check.path(resume, "resume"), self._key(scheme), 2)
+        finished = Finished(None if resume is None else check.path(resume, "resume"), self._key(scheme))
         done, places = dict(finished.read()), Places.of(scheme, rows)
         residuals, undefined = np.full((len(places.rows), rows.responses), np.nan), []
         together = rows.together(_PART)
@@ -244,7 +243,7 @@ class TallLeastSquares:
         lost = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *undefined]))
         return places.result(residuals, lost, rows)
 
-    def _key(self, scheme: Scheme) -> NDArray[np.uint8]:
+    def _key(self, scheme: Scheme) -> str:
         """A digest that tells these rows, a scheme and its parts from others."""
         told: list[Any] = [self._triangle, self.n_data, _PART, _CELLS, _CELL]
         if isinstance(scheme, LazyNeighbourhoods):
@@ -255,7 +254,7 @@ class TallLeastSquares:
         for each in map(np.asarray, told):
             digest.update(repr(each.shape).encode())
             digest.update(np.ascontiguousarray(each).ravel().data)
-        return np.frombuffer(digest.digest(), np.uint8)
+        return digest.hexdigest()
 
 
 def _call(rows: Rows, part: Part, cells: Cells) -> tuple[Any, ...]:
