@@ -127,13 +127,13 @@ class TallLeastSquares:
     @property
     def coefficients(self) -> Floats:
         """The solution x, (p,) or (p, r)."""
-        leads, lost = (
-            self._led.leads,
-            self.rank < self._rows.columns,
-        )  # of columns that depend on others, the shortest x
-        coefficients = np.array((self._whole if lost else self._rest).coefficients, order="C")
-        if leads is not None and not lost:
-            coefficients[leads.columns, np.arange(len(leads.columns))] += leads.multiples
+        if self.rank < self._rows.columns:
+            # Of columns that depend on others, the shortest solution is not that of the rest and a multiple.
+            coefficients = np.array(self._whole.coefficients, order="C")
+        else:
+            leads, coefficients = self._led.leads, np.array(self._rest.coefficients, order="C")
+            if leads is not None:
+                coefficients[leads.columns, np.arange(len(leads.columns))] += leads.multiples
         return read_only(coefficients[:, 0] if self._rows.b.ndim == 1 else coefficients)
 
     @property

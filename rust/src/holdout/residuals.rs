@@ -242,7 +242,8 @@ impl Question for LastModel<'_> {
         for (k, step) in portion.steps.clone().enumerate() {
             let Some(row) = self.lone_row(&schemes[s], portion.chain.pair(step)) else { return false };
             let out = &mut values[k * responses..(k + 1) * responses];
-            if leave_out(factor, row, out) >= required {
+            let least = leave_out(factor, row, out);
+            if least >= required && !factor.outgrown(out, least) {
                 status[k] = Some(Status::Closed);
             }
             let unweight = factor.unweight(row);

@@ -271,15 +271,21 @@ mod tests {
         }
     }
 
-    /// Far enough from rank loss for predictions as large as the responses, but not for larger ones.
+    /// Far enough from rank loss for predictions as large as the responses, but not for larger ones; a pair of rows, and one
+    /// alone.
     #[test]
     fn predictions_much_larger_than_responses_are_refined() {
-        let (held, mut example) = (sets([&[38, 39]]), Example::nearly_lost(40, 5, 5e-4));
-        for (training, status, tolerance) in [(1.0, Status::Refined, 1e-12), (1e-3, Status::Closed, 1e-10)] {
-            example.responses.iter_mut().take(76).for_each(|b| *b *= training);
-            let found = predict(&example, &[(&held, &held)]);
-            assert_eq!(found.status, [status]);
-            assert_close(&found.residuals, &example.refit(held.get(0), held.get(0)), tolerance);
+        for (first, held) in [(38, sets([&[38, 39]])), (39, sets([&[39]]))] {
+            let mut example = Example::nearly_lost(40, 5, 5e-4);
+            example.design[38 * 5 + 4] *= if first == 39 { 5e-4 } else { 1.0 };
+            for (training, status, tolerance) in
+                [(1.0, Status::Refined, 1e-12), (1e-3, Status::Closed, 1e-10)]
+            {
+                example.responses.iter_mut().take(2 * first).for_each(|b| *b *= training);
+                let found = predict(&example, &[(&held, &held)]);
+                assert_eq!(found.status, [status]);
+                assert_close(&found.residuals, &example.refit(held.get(0), held.get(0)), tolerance);
+            }
         }
     }
 
