@@ -418,3 +418,13 @@ def test_nested_models_list_no_neighbourhoods(monkeypatch):
     monkeypatch.setattr(Places, "_listed", listing)
     selection = mx.select_surface(SOURCE, AFFINE[:, 0] + NOISE[:, 0], "NN03PTS", ["ER05", "FIT"], smoothing=0)
     assert set(selection.maps) == {"NN03PTS", "ER05", "FIT"}
+
+
+def test_a_rival_without_a_score_says_so_where_it_is_shown():
+    rival = mx.Selection("CMPRESS", np.array([3, 5]), {"CMPRESS": np.full(2, np.nan)}, {})
+    assert repr(rival) == "Selection(CMPRESS has no score at 3 to 5 control points)"
+    assert "CMPRESS has no score" in rival._repr_html_()
+    grid = mx.Selection("CMPRESS", np.array([3]), {"CMPRESS": np.array([2.0])}, {}, rivals={"plane": rival})
+    assert "CMPRESS has no score" in repr(grid.rivals)
+    with pytest.raises(ValueError, match="It must have a score at one count at least"):
+        _ = rival.count

@@ -88,6 +88,8 @@ class Selection:
 
     def __repr__(self) -> str:
         tried = f"{self.counts[0]} to {self.counts[-1]} control points"
+        if self._scoreless:
+            return f"{type(self).__name__}({self.sentence} at {tried})"
         chosen = f"{self.criterion} chooses {self.count} of {tried}"
         if self.rival is not None:
             chosen = f"{self.criterion} chooses the {self.rival} before {tried}"
@@ -100,6 +102,11 @@ class Selection:
         return notebook.card(f"{type(self).__name__}: {self.sentence}", *self._parts())
 
     @property
+    def _scoreless(self) -> bool:
+        """Whether the criterion is undefined for all models, as it may be for a rival's."""
+        return self.rival is None and strongest([self], self.criterion) is None
+
+    @property
     def sentence(self) -> str:
         """What the criterion selects, in words.
 
@@ -110,6 +117,8 @@ class Selection:
         >>> mx.Selection("FIT", np.array([3, 4]), {"FIT": np.array([2.0, 1.0])}, {}).sentence
         'FIT selects 4 control points'
         """
+        if self._scoreless:
+            return f"{self.criterion} has no score"
         what = f"the {self.rival}" if self.rival is not None else f"{self.count} control points"
         if self.rival is None and len(self.weights) > 1:
             what += f" and smoothing {self.smoothing:.3g}"
@@ -142,6 +151,8 @@ class Selection:
 
     def _curve_picture(self) -> str:
         """The criterion against the count or, with few counts, against the weight; nothing if there is one of each."""
+        if self._scoreless:
+            return ""
         k, w = self.place
         scores = self.maps[self.criterion]
         if weights_tell_more(self):
