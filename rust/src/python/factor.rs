@@ -104,7 +104,10 @@ impl Factor {
         let (listing, rows) = (scheme.listing()?, rows.sets()?);
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
-        let blocks = interruptible(py, f64::INFINITY, threads, |pool| {
+        // At worst every pair is refitted.
+        let pairs = listing.scheme().validated.len();
+        let cost = 2.0 * pairs as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
+        let blocks = interruptible(py, cost, threads, |pool| {
             self.fit.spread(&problem, &listing.scheme(), &rows, pool)
         })?;
         Ok(PyArray1::from_vec(py, blocks))

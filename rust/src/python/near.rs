@@ -25,7 +25,7 @@ impl LazyNeighbourhoods {
     ) -> PyResult<Self> {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
         let centres = centres.as_ref().map(slice).transpose()?;
-        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        let found = interruptible(py, all_from_each(points, dimension), threads, |pool| {
             let all = neighbours::LazyNeighbourhoods::within(points, dimension, radius, pool)?;
             match centres {
                 Some(centres) => all.around(centres),
@@ -43,7 +43,7 @@ impl LazyNeighbourhoods {
         threads: usize,
     ) -> PyResult<Self> {
         let (dimension, points) = (points.shape()[1], matrix(&points)?);
-        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        let found = interruptible(py, all_from_each(points, dimension), threads, |pool| {
             neighbours::LazyNeighbourhoods::nearest(points, dimension, k, pool)
         })?;
         Ok(Self(found))
@@ -65,6 +65,14 @@ impl LazyNeighbourhoods {
     fn mean(&self) -> f64 {
         self.0.mean
     }
+}
+
+/// What looking at a coordinate of a point from another one takes, in multiply-adds, with all that follows from it.
+const LOOK: f64 = 20.0;
+
+/// Looking at all points from each, which is the worst that a search comes to.
+fn all_from_each(points: &[f64], dimension: usize) -> f64 {
+    LOOK * points.len() as f64 * points.len() as f64 / dimension.max(1) as f64
 }
 
 /// What sorting takes for a coordinate, in multiply-adds.
@@ -95,7 +103,7 @@ pub(super) fn neighbours_within<'py>(
 ) -> PyResult<Arrays<'py>> {
     let dimension = points.shape()[1];
     let points = matrix(&points)?;
-    let found = interruptible(py, f64::INFINITY, threads, |pool| {
+    let found = interruptible(py, all_from_each(points, dimension), threads, |pool| {
         neighbours::within(points, dimension, radius, pool)
     })?;
     Ok(arrays(py, found))
@@ -111,8 +119,9 @@ pub(super) fn neighbours_nearest<'py>(
 ) -> PyResult<Arrays<'py>> {
     let dimension = points.shape()[1];
     let points = matrix(&points)?;
-    let found =
-        interruptible(py, f64::INFINITY, threads, |pool| neighbours::nearest(points, dimension, k, pool))?;
+    let found = interruptible(py, all_from_each(points, dimension), threads, |pool| {
+        neighbours::nearest(points, dimension, k, pool)
+    })?;
     Ok(arrays(py, found))
 }
 
@@ -140,6 +149,6 @@ pub(super) fn neighbours_delaunay<'py>(
     points: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Arrays<'py>> {
     let points = matrix(&points)?;
-    let found = interruptible(py, f64::INFINITY, 1, |pool| delaunay::delaunay(points, pool))?;
+    let found = interruptible(py, all_from_each(points, 2), 1, |pool| delaunay::delaunay(points, pool))?;
     Ok(arrays(py, found))
 }

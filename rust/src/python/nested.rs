@@ -23,7 +23,10 @@ impl Nested {
     fn new(py: Python<'_>, arrays: KeptArrays, threads: usize) -> PyResult<Self> {
         let borrowed = arrays.borrow(py)?;
         let problem = borrowed.problem()?;
-        let models = interruptible(py, f64::INFINITY, threads, |pool| nested::Nested::new(&problem, pool))?;
+        let size = problem.design.len() + problem.penalty.len();
+        // Without full rank, some singular values as well.
+        let cost = 4.0 * (size * problem.columns) as f64 + 100.0 * (problem.columns as f64).powi(3);
+        let models = interruptible(py, cost, threads, |pool| nested::Nested::new(&problem, pool))?;
         Ok(Self { models, arrays })
     }
 
@@ -42,7 +45,8 @@ impl Nested {
         threads: usize,
     ) -> PyResult<(Array1<'py, f64>, Array1<'py, f64>, Array1<'py, i64>)> {
         let sizes = slice(&sizes)?;
-        let fits = interruptible(py, f64::INFINITY, threads, |pool| self.models.fits(sizes, pool))?;
+        let cost = self.models.fits_cost();
+        let fits = interruptible(py, cost, threads, |pool| self.models.fits(sizes, pool))?;
         Ok((
             PyArray1::from_iter(py, fits.iter().map(|fit| fit.squares)),
             PyArray1::from_iter(py, fits.iter().map(|fit| fit.parameters)),
@@ -65,7 +69,7 @@ impl Nested {
         let (rows, sizes) = (rows.sets()?, slice(&sizes)?);
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
-        let found = interruptible(py, f64::INFINITY, threads, |pool| {
+        let found = interruptible(py, self.models.curves_cost(&schemes), threads, |pool| {
             self.models.curves(&problem, &schemes, &rows, sizes, pool)
         })?;
         Ok(found

@@ -105,6 +105,11 @@ impl Nested {
         Ok(sizes.iter().map(|&size| self.kept.partition_point(|&column| column < size)).collect())
     }
 
+    /// The multiply-adds of `fits`.
+    pub fn fits_cost(&self) -> f64 {
+        self.factor.basis.len() as f64 * (1 + self.factor.responses) as f64
+    }
+
     /// The fit of the models with these numbers of columns.
     pub fn fits(&self, sizes: &[usize], pool: &Pool<'_>) -> Result<Vec<ModelFit>, Error> {
         const FIT_ROWS: usize = 2000;
@@ -158,6 +163,13 @@ impl Nested {
                 all
             })
             .collect()
+    }
+
+    /// The multiply-adds of `curves`, at most: those of a refit and of a factor with twice the digits for each pair.
+    pub fn curves_cost(&self, schemes: &[Scheme<'_>]) -> f64 {
+        let p = self.factor.rank as f64;
+        let pairs: usize = schemes.iter().map(|scheme| scheme.validated.len()).sum();
+        pairs as f64 * (2.0 * self.factor.basis.len() as f64 * p + 30.0 * p.powi(3))
     }
 
     /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes
