@@ -55,12 +55,14 @@ class Records:
                 checksum, length = _HEAD.unpack(head)
                 # What is no head may tell of more bytes than memory has.
                 record = file.read(min(length, end - file.tell()))
-                if len(record) != length or zlib.crc32(record) != checksum:
+                # No record is empty: zeros of a lost page would be many.
+                if not length or len(record) != length or zlib.crc32(record) != checksum:
                     return
                 yield record
 
     def add(self, records: Iterable[bytes]) -> None:
-        """Write records, at once."""
+        """Write records of a byte or more, at once."""
         parts = [part for record in records for part in (_HEAD.pack(zlib.crc32(record), len(record)), record)]
-        with self.path.open("ab", buffering=0) as file:
+        # Without a buffer, a disk that is full takes a part and tells nobody.
+        with self.path.open("ab") as file:
             file.write(b"".join(parts))

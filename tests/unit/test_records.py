@@ -1,5 +1,7 @@
 """Records of a file: what is whole is read again, whatever the end of the file looks like."""
 
+import os
+
 import numpy as np
 import pytest
 from inputs import refused
@@ -8,7 +10,7 @@ from mexpress.leastsquares.finished import Finished
 from mexpress.records import Records
 
 TITLE = b"mexpress: a test\n"
-KEPT = [b"one", b"", bytes(1000)]
+KEPT = [b"one", b"2", bytes(1000)]
 
 
 def opened(path):
@@ -21,6 +23,7 @@ def opened(path):
         (lambda whole: whole + whole[:300], 3),  # the title as a head tells of 10^18 bytes
         (lambda whole: whole + b"\xff" * 12, 3),
         (lambda whole: whole + bytes(5), 3),
+        (lambda whole: whole + bytes(4096), 3),  # a head of zeros fits a record of no bytes
         (lambda whole: whole[:-1], 2),
         (lambda whole: whole[:-600] + b"\1" * 600, 2),
         (lambda whole: whole[: len(TITLE) + 14], 0),
@@ -45,6 +48,21 @@ def test_the_file_of_something_else_is_refused_and_left_as_it_is(tmp_path):
         text = refused(lambda: opened(path), "resume")
         assert "It must hold a test" in text
         assert path.read_bytes() == content
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of files are those of POSIX")
+def test_what_the_disk_has_no_room_for_is_an_error(tmp_path):
+    import resource  # noqa: PLC0415 - of POSIX
+
+    records = opened(tmp_path / "file")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            records.add([bytes(1000)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(opened(tmp_path / "file")) == []
 
 
 def test_a_part_whose_numbers_did_not_get_to_the_disk_is_not_finished(tmp_path):

@@ -88,15 +88,17 @@ pub(super) fn portions<'a>(
     portions
 }
 
-/// The multiply-adds of all pairs, at most: each is solved in the cheaper way, and all the primal way would take as long as
-/// if they held out equally many.
+/// The multiply-adds of all pairs, at most: those of as many of the largest, as some may hold out most of the rows. Of
+/// neighbourhoods that are not found yet, nobody knows the largest.
 pub(super) fn most(schemes: &[Scheme<'_>], factor: &Factor, rows: &Sets) -> f64 {
-    let coupling = factor.rows as f64 / rows.len().max(1) as f64;
+    let widest = widest(rows);
     let of_all = |scheme: &Scheme<'_>| {
-        let mean = coupling * scheme.held.mean();
-        let dual = costs((scheme.held.largest() * widest(rows)) as f64, 0.0, factor.rank, false).0;
-        let primal = costs(mean, mean, factor.rank, false).1;
-        let predictions = mean * (factor.rank * factor.responses) as f64;
+        if scheme.held.listed().is_none() {
+            return f64::INFINITY;
+        }
+        let most = (scheme.held.largest() * widest) as f64;
+        let (dual, primal) = costs(most, most, factor.rank, false);
+        let predictions = most * (factor.rank * factor.responses) as f64;
         scheme.steps() as f64 * (PAIR + dual.min(primal) + predictions)
     };
     schemes.iter().map(of_all).sum()
@@ -274,9 +276,14 @@ mod tests {
                     assert!((found / total - 1.0).abs() < 1e-12, "{rank}: {found} {total}");
                 }
             }
-            let data = singletons(lopsided.len());
-            let large = costs(30.0, 30.0, rank, false);
-            assert!(most(&[scheme(&data, &data, None)], &factor, &lopsided) >= large.0.min(large.1));
+            let (first, large) =
+                (vec![vec![0]; 50].into_iter().collect::<Sets>(), costs(30.0, 30.0, rank, false));
+            let found = most(&[scheme(&first, &first, None)], &factor, &lopsided);
+            assert!(found >= 50.0 * large.0.min(large.1));
+            let order = [39; 40];
+            let found = most(&[scheme(&uneven, &alone, Some(&order))], &factor, &alone);
+            let large = costs(39.0, 39.0, rank, false);
+            assert!(found >= 40.0 * large.0.min(large.1));
         }
     }
 

@@ -51,6 +51,9 @@ pub struct Predictions {
     pub status: Vec<Status>,
 }
 
+/// What a row that is held out of a refit takes beside the arithmetic, in multiply-adds: sets are sorted, compared, joined.
+const MEMBER: f64 = 100.0;
+
 /// Pairs after the walk: those that the closed form solved, and those that are too close to rank loss for it.
 pub struct Walked<'a> {
     ground: Ground<'a>,
@@ -107,11 +110,12 @@ impl Factor {
 }
 
 impl Walked<'_> {
-    /// The multiply-adds of `finish`, at most: those of as many refits as there are pairs left.
+    /// The multiply-adds of `finish`, at most: those of as many refits as there are pairs left, each without most of the rows.
     pub fn finish_cost(&self) -> f64 {
-        let Factor { basis, rank, .. } = self.ground.factor;
+        let &Factor { rows, columns, responses, total_rows, .. } = self.ground.factor;
         let left = self.status.iter().filter(|status| status.is_none()).count();
-        2.0 * left as f64 * (basis.len() * rank) as f64
+        let refit = 2.0 * total_rows as f64 * ((columns + responses) as f64).powi(2);
+        left as f64 * (refit + MEMBER * rows as f64)
     }
 
     /// Solves the pairs that are left, with the problem that was factored.
@@ -418,7 +422,7 @@ mod tests {
             let held: Sets = held.into_iter().collect();
             let schemes = [Scheme { held: Held::Sets(&held), validated: &held, order: None }];
             let walked = factor.walk(&schemes, &rows, &pool(1)).unwrap();
-            assert_eq!(walked.finish_cost(), left * 2.0 * 40.0 * 16.0);
+            assert_eq!(walked.finish_cost(), left * 40.0 * (2.0 * 25.0 + MEMBER));
             let status = walked.finish(&example.problem(), &pool(1)).unwrap().status;
             assert_eq!(status[0] == Status::Undefined, left > 0.0);
             assert_eq!(status[1], Status::Closed);
