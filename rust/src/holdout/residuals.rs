@@ -52,7 +52,7 @@ pub struct Predictions {
 }
 
 /// What a row that is held out of a refit takes beside the arithmetic, in multiply-adds: sets are sorted, compared, joined.
-const MEMBER: f64 = 100.0;
+pub(super) const MEMBER: f64 = 100.0;
 
 /// Pairs after the walk: those that the closed form solved, and those that are too close to rank loss for it.
 pub struct Walked<'a> {
