@@ -13,7 +13,7 @@ from mexpress.leastsquares.model import datum_of_row
 from mexpress.selection.notes import failures
 
 SIZE = (640, 480)
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
 def matches(n=60, noise=0.3, seed=0):
