@@ -88,20 +88,22 @@ pub(super) fn portions<'a>(
     portions
 }
 
-/// The multiply-adds of all pairs, at most: those of as many of the largest, as some may hold out most of the rows. Of
-/// neighbourhoods that are not found yet, nobody knows the largest.
-pub(super) fn most(schemes: &[Scheme<'_>], factor: &Factor, rows: &Sets) -> f64 {
-    let widest = widest(rows);
-    let of_all = |scheme: &Scheme<'_>| {
-        if scheme.held.listed().is_none() {
-            return f64::INFINITY;
-        }
-        let most = (scheme.held.largest() * widest) as f64;
-        let (dual, primal) = costs(most, most, factor.rank, false);
-        let predictions = most * (factor.rank * factor.responses) as f64;
-        scheme.steps() as f64 * (PAIR + dual.min(primal) + predictions)
-    };
-    schemes.iter().map(of_all).sum()
+impl Factor {
+    /// The multiply-adds of `walk`, at most: those of as many of the largest pairs, as some may hold out most of the rows.
+    /// Of neighbourhoods that are not found yet, nobody knows the largest.
+    pub fn walk_cost(&self, schemes: &[Scheme<'_>], rows: &Sets) -> f64 {
+        let widest = widest(rows);
+        let of_all = |scheme: &Scheme<'_>| {
+            if scheme.held.listed().is_none() {
+                return f64::INFINITY;
+            }
+            let most = (scheme.held.largest() * widest) as f64;
+            let (dual, primal) = costs(most, most, self.rank, false);
+            let predictions = most * (self.rank * self.responses) as f64;
+            scheme.steps() as f64 * (PAIR + dual.min(primal) + predictions)
+        };
+        schemes.iter().map(of_all).sum()
+    }
 }
 
 /// The most rows that a datum has.
@@ -270,7 +272,7 @@ mod tests {
                     let (dual, primal) = costs(q, q, rank, false);
                     PAIR + dual.min(primal) + q * (rank * responses) as f64
                 };
-                let (found, total) = (most(&schemes, &factor, rows), (0..40).map(each).sum::<f64>());
+                let (found, total) = (factor.walk_cost(&schemes, rows), (0..40).map(each).sum::<f64>());
                 assert!(found >= total * (1.0 - 1e-12), "{rank}: {found} {total}");
                 if std::ptr::eq(held, &alone) {
                     assert!((found / total - 1.0).abs() < 1e-12, "{rank}: {found} {total}");
@@ -278,10 +280,10 @@ mod tests {
             }
             let (first, large) =
                 (vec![vec![0]; 50].into_iter().collect::<Sets>(), costs(30.0, 30.0, rank, false));
-            let found = most(&[scheme(&first, &first, None)], &factor, &lopsided);
+            let found = factor.walk_cost(&[scheme(&first, &first, None)], &lopsided);
             assert!(found >= 50.0 * large.0.min(large.1));
             let order = [39; 40];
-            let found = most(&[scheme(&uneven, &alone, Some(&order))], &factor, &alone);
+            let found = factor.walk_cost(&[scheme(&uneven, &alone, Some(&order))], &alone);
             let large = costs(39.0, 39.0, rank, false);
             assert!(found >= 40.0 * large.0.min(large.1));
         }

@@ -52,7 +52,7 @@ pub struct Predictions {
 }
 
 /// What a row that is held out of a refit takes beside the arithmetic, in multiply-adds: sets are sorted, compared, joined.
-pub(super) const MEMBER: f64 = 100.0;
+const MEMBER: f64 = 100.0;
 
 /// Pairs after the walk: those that the closed form solved, and those that are too close to rank loss for it.
 pub struct Walked<'a> {
@@ -75,9 +75,10 @@ impl Factor {
         self.walk(schemes, rows, pool)?.finish(problem, pool)
     }
 
-    /// The multiply-adds of `walk`, at most.
-    pub fn walk_cost(&self, schemes: &[Scheme<'_>], rows: &Sets) -> f64 {
-        plan::most(schemes, self, rows)
+    /// The multiply-adds of a refit, at most, without most of the rows.
+    pub(crate) fn refit_cost(&self) -> f64 {
+        let &Self { rows, columns, responses, total_rows, .. } = self;
+        2.0 * total_rows as f64 * ((columns + responses) as f64).powi(2) + MEMBER * rows as f64
     }
 
     /// The part of `predict` that needs no problem.
@@ -110,12 +111,10 @@ impl Factor {
 }
 
 impl Walked<'_> {
-    /// The multiply-adds of `finish`, at most: those of as many refits as there are pairs left, each without most of the rows.
+    /// The multiply-adds of `finish`, at most: those of as many refits as there are pairs left.
     pub fn finish_cost(&self) -> f64 {
-        let &Factor { rows, columns, responses, total_rows, .. } = self.ground.factor;
         let left = self.status.iter().filter(|status| status.is_none()).count();
-        let refit = 2.0 * total_rows as f64 * ((columns + responses) as f64).powi(2);
-        left as f64 * (refit + MEMBER * rows as f64)
+        left as f64 * self.ground.factor.refit_cost()
     }
 
     /// Solves the pairs that are left, with the problem that was factored.
@@ -250,8 +249,7 @@ impl Question for LastModel<'_> {
             if least >= required && !factor.outgrown(out, least) {
                 status[k] = Some(Status::Closed);
             }
-            let unweight = factor.unweight(row);
-            out.iter_mut().for_each(|e| *e *= unweight);
+            unweight(factor, &[row], out);
         }
         *answer = Residuals { values, status };
         true

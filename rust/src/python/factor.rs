@@ -105,8 +105,7 @@ impl Factor {
         let arrays = self.arrays.borrow(py)?;
         let problem = arrays.problem()?;
         // At worst every pair is refitted.
-        let pairs = listing.scheme().validated.len();
-        let cost = 2.0 * pairs as f64 * (self.fit.basis.len() * self.fit.rank) as f64;
+        let cost = listing.scheme().validated.len() as f64 * self.fit.refit_cost();
         let blocks = interruptible(py, cost, threads, |pool| {
             self.fit.spread(&problem, &listing.scheme(), &rows, pool)
         })?;

@@ -36,7 +36,6 @@ use crate::fit::factor::{self, Factor, Problem};
 use crate::fit::linalg;
 use crate::holdout::plan;
 use crate::holdout::rescue::double_double::DdGram;
-use crate::holdout::residuals::MEMBER;
 use crate::holdout::scheme::{Scheme, check_indices};
 use crate::holdout::walk::{Ground, walk};
 use crate::pool::Pool;
@@ -168,10 +167,8 @@ impl Nested {
 
     /// The multiply-adds of `curves`, at most: those of a refit and of a factor with twice the digits for each pair.
     pub fn curves_cost(&self, schemes: &[Scheme<'_>]) -> f64 {
-        let &Factor { rows, rank, responses, total_rows, .. } = &self.factor;
-        let refit = 2.0 * total_rows as f64 * ((rank + responses) as f64).powi(2) + MEMBER * rows as f64;
         let pairs: usize = schemes.iter().map(|scheme| scheme.validated.len()).sum();
-        pairs as f64 * (refit + 30.0 * (rank as f64).powi(3))
+        pairs as f64 * (self.factor.refit_cost() + 30.0 * (self.factor.rank as f64).powi(3))
     }
 
     /// Cross-validates the models with these numbers of columns, none less than the one before, by every scheme. Schemes
